@@ -1,0 +1,27 @@
+"""Checks of parameters that scikit-learn's public helpers do not cover."""
+
+import math
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def check_number(value: Any, name: str, *, positive: bool = False) -> None:
+    """Refuse anything but a finite number above (or at) zero, NaN included."""
+    number = float(value) if isinstance(value, Real) else math.nan
+    if math.isfinite(number) and (number > 0 or (number == 0 and not positive)):
+        return
+    kind = "positive" if positive else "non-negative"
+    raise ValueError(f"{name} must be a finite {kind} number, got {value!r}.")
+
+
+def check_magnitude(X: NDArray[np.float64]) -> None:
+    """Refuse states whose squared distances leave the range of a double."""
+    largest = np.abs(X).max()
+    if largest > 1e150 or 0 < largest < 1e-150:
+        raise ValueError(
+            f"X has values up to {largest:.3g}, whose squared distances double "
+            "precision cannot hold; rescale X, by StandardScaler for example."
+        )

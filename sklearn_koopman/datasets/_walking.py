@@ -1,0 +1,252 @@
+"""A synthetic two-link leg that walks."""
+
+from numbers import Integral
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import PchipInterpolator
+from sklearn.utils import Bunch, check_array, check_random_state, check_scalar
+
+_DESCR = """\
+SYNTHETIC walking of a planar two-link leg
+------------------------------------------
+Not measured on anybody: Fourier series of the gait phase in the shape of hip and knee
+flexion of human walking, with stride-to-stride variation. There is no dynamics, no
+contact with the ground, no noise and no movement of skin, and the leg stays in the
+sagittal plane. Use it to try things out and to test code; draw conclusions about
+walking from recorded motion.
+"""
+
+_THIGH, _SHANK = 420.0, 430.0  # mm
+# Degrees at 1.3 m/s: the mean, then cosine and sine of each multiple of the phase.
+# Heel strike is at phase 0.
+_HIP = np.array([13.9, 20.1, -1.9, -3.3, -2.6, -0.4, 1.2])
+_KNEE = np.array([22.5, -2.2, -18.4, -14.8, 7.0, 0.2, 5.1, -0.2, 0.7])
+# Relative standard deviations from stride to stride: duration, hip, knee.
+_VARIATION = np.array([0.02, 0.04, 0.03])
+_PERSISTENCE = 0.5  # correlation of one stride with the next
+
+
+def make_walking(
+    n_trials: int | None = None,
+    *,
+    n_strides: int = 10,
+    speeds: ArrayLike | None = None,
+    rate: float = 150.0,
+    variability: float = 1.0,
+    random_state: int | np.random.RandomState | None = None,
+) -> Bunch:
+    r"""Generate SYNTHETIC walking trials of a planar two-link leg.
+
+    **Nothing here is measured.** Hip and knee follow Fourier series in the shape of
+    human walking; cadence and amplitude grow with speed, and durations and amplitudes
+    vary from stride to stride. The trials serve for examples and tests that need
+    several trajectories of unequal length whose answers are known. They are easier
+    to predict than recorded gait, and tell nothing about it.
+
+    Parameters
+    ----------
+    n_trials : int, default=None
+        Number of trials; None means one for each of `speeds`, or 4.
+    n_strides : int, default=10
+        Number of strides in a trial, from heel strike to heel strike.
+    speeds : array-like of shape (n_trials,), default=None
+        Walking speeds [m/s]; by default evenly spaced from 0.6 to 1.5.
+    rate : float, default=150.0
+        Samples a second.
+    variability : float, default=1.0
+        Multiplies the variation from stride to stride; 0 gives a periodic motion.
+        At 1 the standard deviations are 2 % in duration, 4 % in the excursion of the
+        hip and 3 % in that of the knee.
+    random_state : int, RandomState instance or None, default=None
+        Seed of the variation. The same seed gives the same motion at every `rate`.
+
+    Returns
+    -------
+    :class:`~sklearn.utils.Bunch`
+        With the attributes
+
+        trajectories : list of n_trials ndarray of shape (n_frames, 2)
+            Hip flexion and knee flexion [rad], in the signs of
+            :func:`~sklearn_koopman.kinematics.leg_angles`. Slow trials are longer.
+        outputs : list of n_trials ndarray of shape (n_frames, 2)
+            Ankle minus hip along (forward, up) [mm].
+        markers : list of n_trials dict
+            "hip", "knee" and "ankle": positions [mm] of shape (n_frames, 3) along
+            X forward, Y up and Z right, of a right leg that walks through the room.
+        speeds : ndarray of shape (n_trials,)
+            The walking speeds [m/s].
+        rate : float
+            Samples a second.
+        DESCR : str
+            What the data are, and are not.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range, or `n_trials` and `speeds` disagree.
+
+    See Also
+    --------
+    load_markers : Reads recorded motion.
+    sklearn_koopman.kinematics.leg_angles : Angles and outputs from the markers.
+    sklearn_koopman.trajectories.trajectory_pairs : Pairs states and outputs.
+
+    Notes
+    -----
+    With the gait phase :math:`\varphi` (one unit a stride) and the speed :math:`v`
+
+    .. math::
+        \theta^{(1)} &= h_0 + A_1 (v / 1.3)^{0.3} \sum_{k=1}^{3}
+            (h_{2k-1} \cos 2\pi k\varphi + h_{2k} \sin 2\pi k\varphi), \\
+        \theta^{(2)} &= A_2 (v / 1.3)^{0.2} \Bigl( g_0 + \sum_{k=1}^{4}
+            (g_{2k-1} \cos 2\pi k\varphi + g_{2k} \sin 2\pi k\varphi) \Bigr),
+
+    with :math:`0.93 \sqrt{v / 1.3}` strides a second. The series reach about +32 and
+    -10 degrees at the hip, and 19 degrees in stance and 61 in swing at the knee, at
+    1.3 m/s. The logarithms of durations and of the amplitudes :math:`A_1, A_2` are
+    stationary AR(1) sequences over the strides; phase and amplitudes in between are
+    monotone cubic interpolants, so that the angles have continuous derivatives. The
+    outputs are the planar forward kinematics of a thigh of 420 mm and a shank of
+    430 mm.
+
+    The exponents, the cadence and the variation are of the size found in the
+    treadmill trials of subject 1 of [1]_; no curve is fitted to them.
+
+    References
+    ----------
+    .. [1] Fukuchi, Fukuchi and Duarte (2018), "A public dataset of overground and
+       treadmill walking kinematics and kinetics in healthy individuals", PeerJ
+       6:e4640.
+
+    Examples
+    --------
+    >>> from sklearn_koopman.datasets import make_walking
+    >>> from sklearn_koopman.trajectories import trajectory_pairs
+    >>> walking = make_walking(speeds=[0.8, 1.2], n_strides=5, random_state=0)
+    >>> [len(angles) for angles in walking.trajectories]
+    [1069, 857]
+    >>> pairs = trajectory_pairs(walking.trajectories, walking.outputs, delays=2)
+    >>> pairs.X.shape, pairs.y.shape
+    ((1922, 4), (1922, 2))
+    """
+    check_scalar(n_strides, "n_strides", Integral, min_val=1)
+    if n_trials is not None:
+        check_scalar(n_trials, "n_trials", Integral, min_val=1)
+    if not 0 < rate < np.inf:
+        raise ValueError(f"rate={rate} must be positive and finite, in samples/s.")
+    if not 0 <= variability < np.inf:
+        raise ValueError(
+            f"variability={variability} must be finite and at least 0; 1 is typical."
+        )
+    pace = _check_speeds(speeds, n_trials)
+    rng = check_random_state(random_state)
+
+    trials = [_trial(v, n_strides, rate, variability, rng) for v in pace]
+    return Bunch(
+        trajectories=[angles for angles, _, _ in trials],
+        outputs=[markers["ankle"] for _, _, markers in trials],
+        markers=[
+            {name: _in_room(hip, offset) for name, offset in markers.items()}
+            for _, hip, markers in trials
+        ],
+        speeds=pace,
+        rate=float(rate),
+        DESCR=_DESCR,
+    )
+
+
+def _check_speeds(
+    speeds: ArrayLike | None, n_trials: int | None
+) -> NDArray[np.float64]:
+    """Return one speed for each trial."""
+    if speeds is None:
+        return np.linspace(0.6, 1.5, 4 if n_trials is None else n_trials)
+    pace = check_array(
+        np.atleast_1d(speeds), dtype=np.float64, ensure_2d=False, input_name="speeds"
+    )
+    if pace.ndim != 1 or pace.min() <= 0:
+        raise ValueError(
+            f"speeds={speeds!r}; pass one positive walking speed [m/s] for each trial."
+        )
+    if n_trials is not None and n_trials != len(pace):
+        raise ValueError(
+            f"n_trials={n_trials} but speeds holds {len(pace)}; leave n_trials out, "
+            "there is one trial for each speed."
+        )
+    return np.asarray(pace)
+
+
+def _trial(
+    speed: float,
+    n_strides: int,
+    rate: float,
+    variability: float,
+    rng: np.random.RandomState,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+    """Return angles, hip in the room, and all markers relative to the hip."""
+    # One value a stride boundary; the duration after the last one is not used.
+    scatter = _ar1(n_strides + 1, len(_VARIATION), rng)
+    duration, hip_scale, knee_scale = np.exp(variability * _VARIATION * scatter).T
+    duration = duration[:-1] / (0.93 * np.sqrt(speed / 1.3))
+    strikes = np.concatenate([[0.0], np.cumsum(duration)])
+    time = np.arange(np.floor(strikes[-1] * rate) + 1) / rate
+
+    def between_strikes(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        # Monotone, so that the phase never runs backwards.
+        return np.asarray(PchipInterpolator(strikes, values)(time))
+
+    phase = between_strikes(np.arange(n_strides + 1.0))
+    swing = between_strikes(hip_scale) * (speed / 1.3) ** 0.3
+    bend = between_strikes(knee_scale) * (speed / 1.3) ** 0.2
+    hip_flexion = np.radians(_HIP[0] + swing * (_fourier(_HIP, phase) - _HIP[0]))
+    knee_flexion = np.radians(bend * _fourier(_KNEE, phase))
+
+    knee = _THIGH * _below(hip_flexion)
+    ankle = knee + _SHANK * _below(hip_flexion - knee_flexion)
+    # The trunk is highest in mid-stance of either leg and sways once a stride.
+    hip = np.column_stack(
+        [
+            1000 * speed * time,
+            880 + 20 * np.cos(4 * np.pi * (phase - 0.3)),
+            100 + 20 * np.cos(2 * np.pi * (phase - 0.3)),
+        ]
+    )
+    angles = np.column_stack([hip_flexion, knee_flexion])
+    return angles, hip, {"hip": np.zeros_like(knee), "knee": knee, "ankle": ankle}
+
+
+def _ar1(
+    n_strides: int, n_series: int, rng: np.random.RandomState
+) -> NDArray[np.float64]:
+    """Draw stationary AR(1) series of unit variance as columns."""
+    values = rng.standard_normal((n_strides, n_series))
+    for stride in range(1, n_strides):
+        values[stride] *= np.sqrt(1 - _PERSISTENCE**2)
+        values[stride] += _PERSISTENCE * values[stride - 1]
+    return values
+
+
+def _fourier(
+    coefficients: NDArray[np.float64], phase: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Evaluate a real Fourier series of period 1."""
+    harmonics = 2 * np.pi * np.arange(1, len(coefficients) // 2 + 1)
+    waves = np.outer(phase, harmonics)
+    return (
+        coefficients[0]
+        + np.cos(waves) @ coefficients[1::2]
+        + np.sin(waves) @ coefficients[2::2]
+    )
+
+
+def _below(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vectors (forward, up) at an angle against the downward vertical."""
+    return np.column_stack([np.sin(angle), -np.cos(angle)])
+
+
+def _in_room(
+    hip: NDArray[np.float64], offset: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Place a point of the leg, given relative to the hip, in the room."""
+    return hip + np.column_stack([offset, np.zeros(len(offset))])

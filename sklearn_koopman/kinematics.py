@@ -1,0 +1,200 @@
+"""From marker positions to joint angles and body-frame outputs."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["leg_angles"]
+
+
+def leg_angles(
+    hip: ArrayLike,
+    knee: ArrayLike,
+    ankle: ArrayLike,
+    *,
+    forward: ArrayLike,
+    up: ArrayLike,
+    normalize: bool = False,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    r"""Hip and knee flexion of one leg, and its ankle relative to the hip.
+
+    The markers are projected onto the sagittal plane spanned by `forward` and `up`.
+    The two angles are the states of the walking example of [1]_ and the ankle is its
+    output.
+
+    Parameters
+    ----------
+    hip : array-like of shape (n_frames, 3)
+        Positions of the hip marker, such as the greater trochanter.
+    knee : array-like of shape (n_frames, 3)
+        Positions of the knee marker, in the same frames, axes and unit.
+    ankle : array-like of shape (n_frames, 3)
+        Positions of the ankle marker, in the same frames, axes and unit.
+    forward : int or array-like of shape (3,)
+        Direction of walking: the number of a column (0, 1 or 2), or a vector of any
+        length, for instance ``[-1, 0, 0]`` for somebody who walks against the first
+        axis.
+    up : int or array-like of shape (3,)
+        The vertical, given in the same way; orthogonal to `forward` within 1e-6.
+    normalize : bool, default=False
+        Whether the ankle is divided by the length of this leg: the mean over all
+        frames of the three-dimensional lengths of thigh and shank, added. It makes
+        the outputs of one person comparable with those of another.
+
+    Returns
+    -------
+    angles : ndarray of shape (n_frames, 2)
+        Hip flexion and knee flexion in radians, both in (-pi, pi].
+
+        * Hip flexion is the angle of the thigh against the downward vertical:
+          positive with the knee in front of the hip.
+        * Knee flexion is the angle of the thigh less the angle of the shank: 0 for a
+          straight leg, positive with the heel drawn towards the buttock.
+    ankle : ndarray of shape (n_frames, 2)
+        Ankle minus hip along `forward` and `up`, in the unit of the markers, or as a
+        fraction of the length of the leg if `normalize` is set.
+
+    Raises
+    ------
+    ValueError
+        If the markers differ in shape or are not of shape (n_frames, 3); if one holds
+        NaN or infinity; if a segment has no length in the sagittal plane; if thigh
+        and shank differ more than tenfold in length, as they do when units are mixed;
+        if `forward` or `up` is no direction, or they are not orthogonal.
+
+    See Also
+    --------
+    sklearn_koopman.datasets.load_markers : Reads markers from a file.
+    sklearn_koopman.trajectories.trajectory_pairs : Pairs angles and ankle positions.
+
+    Notes
+    -----
+    Let :math:`v^{(1)}` and :math:`v^{(2)}` be the projected vectors from hip to knee
+    and from knee to ankle, with components :math:`(v_f, v_u)`. Then
+
+    .. math::
+        \theta^{(1)} &= \operatorname{atan2}(v^{(1)}_f, -v^{(1)}_u), \\
+        \theta^{(2)} &= \operatorname{atan2}(v^{(1)}_u v^{(2)}_f
+                        - v^{(1)}_f v^{(2)}_u,\; v^{(1)} \cdot v^{(2)}).
+
+    [1]_ (Section 4.2) takes the knee angle from the dot product alone, which loses
+    the sign of an overstretched knee and most digits near a straight one. With the
+    projected lengths :math:`\ell_i = \|v^{(i)}\|` the planar forward kinematics
+
+    .. math::
+        y_f &= \ell_1 \sin\theta^{(1)} + \ell_2 \sin(\theta^{(1)} - \theta^{(2)}), \\
+        y_u &= -\ell_1 \cos\theta^{(1)} - \ell_2 \cos(\theta^{(1)} - \theta^{(2)})
+
+    return the ankle exactly. The projected lengths change from frame to frame as the
+    leg leaves the plane and the skin moves, so that for real markers the map from the
+    angles to the ankle has to be estimated.
+
+    References
+    ----------
+    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
+       of Animal Motions over Unknown Submanifolds".
+
+    .. [2] Fukuchi, Fukuchi and Duarte (2018), "A public dataset of overground and
+       treadmill walking kinematics and kinetics in healthy individuals", PeerJ
+       6:e4640.
+
+    Examples
+    --------
+    A leg with the thigh 30 degrees forward and the shank hanging down:
+
+    >>> import numpy as np
+    >>> from sklearn_koopman.kinematics import leg_angles
+    >>> hip, knee, ankle = [[0, 900, 0]], [[200, 553.6, 0]], [[200, 153.6, 0]]
+    >>> angles, ankle = leg_angles(hip, knee, ankle, forward=0, up=1)
+    >>> np.degrees(angles).round(2)
+    array([[30., 30.]])
+    >>> ankle
+    array([[ 200. , -746.4]])
+    """
+    positions = _check_markers(hip=hip, knee=knee, ankle=ankle)
+    axes = np.column_stack([_direction(forward, "forward"), _direction(up, "up")])
+    if abs(axes[:, 0] @ axes[:, 1]) > 1e-6:
+        raise ValueError(
+            f"forward={forward!r} and up={up!r} are not orthogonal; subtract from one "
+            "its part along the other, or use two different columns."
+        )
+
+    segments = {
+        "thigh": positions["knee"] - positions["hip"],
+        "shank": positions["ankle"] - positions["knee"],
+    }
+    lengths = _check_segments(segments, axes)
+    thigh, shank = (_as_complex(vectors @ axes) for vectors in segments.values())
+    # The sum turns -0.0 into 0.0: a shank folded onto the thigh is at pi, not -pi.
+    bend = thigh * shank.conj() + 0.0
+    angles = np.column_stack([np.angle(thigh + 0.0), np.angle(bend)])
+    reach = (positions["ankle"] - positions["hip"]) @ axes
+    return angles, reach / lengths.sum() if normalize else reach
+
+
+def _check_markers(**markers: Any) -> dict[str, NDArray[np.float64]]:
+    """Validate markers into finite arrays of one shape (n_frames, 3)."""
+    positions = {name: np.asarray(m, dtype=np.float64) for name, m in markers.items()}
+    for name, position in positions.items():
+        if position.ndim != 2 or position.shape[1] != 3 or len(position) == 0:
+            raise ValueError(
+                f"{name} has shape {position.shape}; expected (n_frames, 3), one row "
+                "of coordinates a frame."
+            )
+        gaps = np.flatnonzero(~np.isfinite(position).all(axis=1))
+        if len(gaps):
+            raise ValueError(
+                f"{name} holds NaN or infinity in {len(gaps)} of {len(position)} "
+                f"frames, first in frame {gaps[0]}; fill the gaps, or cut the "
+                "recording there."
+            )
+    if len({len(position) for position in positions.values()}) > 1:
+        frames = ", ".join(f"{name} {len(p)}" for name, p in positions.items())
+        raise ValueError(
+            f"the markers differ in their numbers of frames ({frames}); pass the same "
+            "frames of all three."
+        )
+    return positions
+
+
+def _direction(value: Any, name: str) -> NDArray[np.float64]:
+    """Return a unit vector from the number of a column or a vector."""
+    if isinstance(value, int | np.integer) and not isinstance(value, bool):
+        if not 0 <= value < 3:
+            raise ValueError(f"{name}={value} is no column; pass 0, 1 or 2.")
+        return np.eye(3)[int(value)]
+    vector = np.asarray(value, dtype=np.float64)
+    length = np.linalg.norm(vector)
+    if vector.shape != (3,) or not 0 < length < np.inf:
+        raise ValueError(
+            f"{name}={value!r} is no direction; pass the number of a column (0, 1 or "
+            "2) or a finite vector of 3 components other than zero."
+        )
+    return np.asarray(vector / length)
+
+
+def _check_segments(
+    segments: dict[str, NDArray[np.float64]], axes: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the mean lengths of thigh and shank after checking that they are sane."""
+    lengths = np.array([np.linalg.norm(v, axis=1).mean() for v in segments.values()])
+    for (name, vectors), length in zip(segments.items(), lengths, strict=True):
+        flat = np.linalg.norm(vectors @ axes, axis=1) <= 1e-9 * length
+        if flat.any():
+            raise ValueError(
+                f"the {name} has no length in the plane of forward and up in frame "
+                f"{np.flatnonzero(flat)[0]}; two markers coincide there, or forward "
+                "or up is wrong."
+            )
+    if lengths.max() > 10 * lengths.min():
+        raise ValueError(
+            f"mean thigh length is {lengths[0]:.4g} but mean shank length "
+            f"{lengths[1]:.4g}; pass all three markers in the same unit."
+        )
+    return lengths
+
+
+def _as_complex(vectors: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Put (forward, up) into a complex plane where straight down is the real axis."""
+    return -vectors[:, 1] + 1j * vectors[:, 0]

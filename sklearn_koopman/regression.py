@@ -1,0 +1,554 @@
+"""Kernel estimate of the Koopman operator acting on the outputs."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgWarning
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
+from sklearn.utils import check_array
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from sklearn_koopman import _solvers
+from sklearn_koopman._validation import check_number
+from sklearn_koopman.kernels import as_kernel
+
+__all__ = ["KoopmanKernelRegressor"]
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+DEGREES = {None: None, "constant": 0, "linear": 1}
+
+
+class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
+    """Kernel estimate of the Koopman operator acting on measured outputs.
+
+    States follow an unknown map, x_{k+1} = f(x_k), on an unknown manifold; outputs
+    y = G(x) are measured. Given rows x_k with the outputs G(f(x_k)) one step (one
+    `lag`) later, this estimates the function
+
+    .. math:: (U_f G)(x) = G(f(x))
+
+    in the span of the sections k(., xi_i) of a kernel at M centres xi_i. With one
+    `kernel` known on the whole space of states, no knowledge of the manifold is
+    needed.
+
+    Parameters
+    ----------
+    kernel : str or Kernel, default="matern32"
+        One of "matern12", "matern32", "matern52", "wendland_c0", "wendland_c2",
+        "wendland_c4", "wendland_c6", "gaussian" and "inverse_multiquadric", or a
+        kernel object of :mod:`sklearn_koopman.kernels` or
+        :mod:`sklearn.gaussian_process.kernels`, whose parameters can be tuned as
+        ``kernel__beta`` and the like.
+    beta : float, default=None
+        Scale of the kernel in the unit of the states, k(x, c) = phi(||x - c|| /
+        beta). None leaves that of the kernel object, and means 1 for a name.
+    centers : None, array-like of shape (n_centers, n_features), estimator or \
+"precomputed", default=None
+        Where the kernel sections are centred.
+
+        - None: at every distinct row of `X`.
+        - array: at these states.
+        - estimator: at the `cluster_centers_` of a clone fitted to `X`, such as
+          :class:`SeparatedCenterSelector`; its parameters can be tuned as
+          ``centers__separation``.
+        - "precomputed": `X` holds the distances of each state to every centre, as
+          ``SeparatedCenterSelector.transform`` gives them.
+    method : {"interpolation", "least_squares"}, default="interpolation"
+        Which outputs the estimate is made from.
+
+        - "interpolation": those of the centres, which have to be rows of `X`
+          ([1]_). Exact on noise-free data.
+        - "least_squares": those of all rows. Averages over noise, and over what the
+          states do not determine.
+
+        Where every row is a centre the two are the same.
+    alpha : float, default=0.0
+        Weight of the squared native-space norm against the squared residuals. 0
+        interpolates, or leaves the least-squares problem unpenalised.
+    trend : {None, "constant", "linear"}, default=None
+        Polynomial tail that is solved for together with the kernel part, and that
+        predictions return to away from the centres. "linear" suits outputs that
+        change little in one step and are part of the state.
+    solver : {"auto", "cholesky"}, default="auto"
+        What happens where the Gram matrix is not numerically positive definite.
+
+        - "auto": a pivoted Cholesky factorisation leaves out the centres that
+          depend on others, with a warning.
+        - "cholesky": an error.
+    n_jobs : int, default=None
+        Number of threads for predictions. None means 1 unless in a
+        :obj:`joblib.parallel_backend` context, -1 means all processors.
+
+    Attributes
+    ----------
+    center_indices_ : ndarray of shape (n_centers,) or None
+        The rows of `X` that are centres; None for centres given from elsewhere,
+        which least squares takes.
+    centers_ : ndarray of shape (n_centers, n_features)
+        The centres. Not present with ``centers="precomputed"``.
+    dual_coef_ : ndarray of shape (n_centers,) or (n_centers, n_outputs)
+        Coefficients of the kernel sections.
+    trend_coef_ : ndarray of shape (1 + n_features,) or (1 + n_features, n_outputs)
+        Coefficients of the tail: of 1, then of each feature less its mean over the
+        centres. Only with a `trend`; for ``trend="constant"`` just the constant.
+    kernel_ : Kernel
+        The kernel, with its scale and dimension.
+    amplitude_ : float or ndarray of shape (n_outputs,)
+        Native-space norm of the estimate over the square root of n_centers (less
+        the number of trend coefficients): the standard deviation at which the kernel
+        as the covariance of a Gaussian process explains the outputs best.
+    noise_ : float or ndarray of shape (n_outputs,)
+        Standard deviation of the outputs about the estimate: ``amplitude_ *
+        sqrt(alpha)`` for interpolation, that of the residuals for least squares.
+    rcond_ : float
+        Estimate of the reciprocal condition number of the Gram matrix. About
+        ``-log10(rcond_)`` of 16 digits are lost in the coefficients.
+    n_features_in_ : int
+        Number of features seen during `fit`.
+    feature_names_in_ : ndarray of shape (n_features_in_,)
+        Names of the features, where `X` had string names.
+
+    See Also
+    --------
+    SeparatedCenterSelector : Chooses centres along trajectories.
+    sklearn_koopman.trajectories.trajectory_pairs : Makes `X` and `y` of trajectories.
+    sklearn.gaussian_process.GaussianProcessRegressor : Fits the scale of the kernel
+        by maximum likelihood, with every row a centre.
+
+    Notes
+    -----
+    With K = k(Xi, Xi) and u the outputs of the centres, interpolation has the
+    coefficients c = (K + alpha I)^-1 u: the projection of U_f G onto the span of the
+    sections, which is the estimate of [1]_, Equation (UMf_coord), in its simplest
+    form. The interpolant of the pairs (f(xi_i), u_i), whose coefficients Algorithm 1
+    there prints, takes the same values u_i one step earlier, so that the projection
+    of its composition with f is this estimate. Least squares minimises
+
+    .. math:: \\sum_i |y_i - g(x_i)|^2 + \\alpha \\|g\\|_H^2
+
+    over the same span: the empirical risk minimiser, which is EDMD with the sections
+    as its dictionary (Theorem 4 there). It is solved in a basis orthonormal in H.
+
+    With a tail p(x) b the coefficients satisfy P(Xi)^T c = 0, as usual for
+    conditionally positive definite kernels; equal rows count as one centre with their
+    mean output, and with `alpha` over their number on the diagonal of K.
+
+    Memory is one M x M matrix; the Cholesky factor is kept for `power_function`, but
+    not pickled, and computed anew when first needed after loading.
+
+    References
+    ----------
+    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
+       of Animal Motions over Unknown Submanifolds".
+    .. [2] H. Wendland, "Scattered Data Approximation", Cambridge University Press,
+       2004, Chapters 8, 11 and 13.
+
+    Examples
+    --------
+    >>> from sklearn_koopman import KoopmanKernelRegressor, SeparatedCenterSelector
+    >>> from sklearn_koopman.datasets import make_pendulum
+    >>> pendulum = make_pendulum(n_samples=256)
+    >>> model = KoopmanKernelRegressor(
+    ...     kernel="wendland_c4", beta=4.0, centers=SeparatedCenterSelector(0.23)
+    ... ).fit(pendulum.X, pendulum.y)
+    >>> len(model.centers_)
+    37
+    >>> error = abs(model.predict(pendulum.X) - pendulum.y).max()
+    >>> bool(error < 1e-3)
+    True
+    """
+
+    def __init__(
+        self,
+        kernel: Any = "matern32",
+        *,
+        beta: float | None = None,
+        centers: Any = None,
+        method: str = "interpolation",
+        alpha: float = 0.0,
+        trend: str | None = None,
+        solver: str = "auto",
+        n_jobs: int | None = None,
+    ) -> None:
+        self.kernel = kernel
+        self.beta = beta
+        self.centers = centers
+        self.method = method
+        self.alpha = alpha
+        self.trend = trend
+        self.solver = solver
+        self.n_jobs = n_jobs
+
+    def fit(self, X: Any, y: Any) -> KoopmanKernelRegressor:
+        """Choose the centres and compute the coefficients.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            The states, or their distances to the centres with
+            ``centers="precomputed"``.
+        y : array-like of shape (n_samples,) or (n_samples, n_outputs)
+            The outputs one step after each row.
+
+        Returns
+        -------
+        self : KoopmanKernelRegressor
+            The fitted estimate.
+
+        Raises
+        ------
+        ValueError
+            If a parameter is outside its range; if a centre is no row of `X` where
+            its output is needed; if equal rows have different outputs where every
+            row is to be interpolated; if least squares with ``alpha=0`` has fewer
+            rows than centres; if ``solver="cholesky"`` meets a Gram matrix that is
+            not positive definite.
+
+        Warns
+        -----
+        LinAlgWarning
+            If dependent centres were left out.
+        """
+        X, y = validate_data(
+            self, X, y, multi_output=True, y_numeric=True, dtype=np.float64
+        )
+        y = np.asarray(y, dtype=np.float64)
+        self._check_parameters()
+        n_features = None if self._precomputed else X.shape[1]
+        kernel = as_kernel(self.kernel, self.beta, n_features)
+        outputs = y.reshape(len(y), -1)
+        rows: Indices | None
+        counts: Indices | None
+        if self._precomputed:
+            _check_distances(X)
+            if not kernel.is_stationary():
+                raise ValueError(
+                    f"kernel={kernel!r} does not depend on distances alone, which "
+                    "centers='precomputed' needs; pass the states and a selector."
+                )
+            rows, counts = _rows_at_distance_zero(X), None
+            points = X[rows]
+            sections: _solvers.Sections = _solvers.DistanceSections(
+                kernel, np.arange(X.shape[1])
+            )
+        else:
+            points, rows, counts, outputs = self._choose_centers(X, outputs)
+            sections = _solvers.KernelSections(kernel, points)
+
+        nugget = np.zeros(len(points))
+        # Least squares over the sections of all rows is interpolation with a nugget.
+        if self.method == "interpolation" or counts is not None:
+            assert rows is not None
+            nugget += self.alpha / (1 if counts is None else counts)
+            rule = _solvers.interpolation(points, outputs[rows], nugget)
+        else:
+            if self.alpha == 0 and len(X) < len(points):
+                raise ValueError(
+                    f"method='least_squares' with alpha=0 needs at least as many rows "
+                    f"as centres, got {len(X)} rows and {len(points)} centres; set "
+                    "alpha > 0 or choose fewer centres."
+                )
+            rule = _solvers.regression(X, outputs, self.alpha)
+        try:
+            solution = _solvers.solve(
+                sections,
+                points,
+                nugget,
+                rule,
+                DEGREES[self.trend],
+                drop_dependent=self.solver == "auto",
+            )
+        except np.linalg.LinAlgError as error:
+            raise ValueError(
+                f"No estimate for kernel={kernel!r} on {len(points)} centres: {error}. "
+                f"{_REMEDY}"
+            ) from error
+        n_dropped = len(points) - len(solution.kept)
+        if n_dropped:
+            warnings.warn(
+                f"The Gram matrix of kernel={kernel!r} on {len(points)} centres is "
+                f"numerically singular; {n_dropped} centres that depend on the others "
+                f"were left out. {_REMEDY}",
+                LinAlgWarning,
+                stacklevel=2,
+            )
+        self._store(X, y, kernel, rows, nugget, solution)
+        return self
+
+    def predict(self, X: Any, return_std: bool = False) -> Array | tuple[Array, Array]:
+        """Predict the outputs one step after each state.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            The states, or their distances to the centres with
+            ``centers="precomputed"``.
+        return_std : bool, default=False
+            Whether to return the standard deviation as well.
+
+        Returns
+        -------
+        y : ndarray of shape (n_samples,) or (n_samples, n_outputs)
+            The estimate of G(f(x)).
+        y_std : ndarray of the shape of `y`
+            Standard deviation of the outputs, ``sqrt((amplitude_ * P) ** 2 + noise_
+            ** 2)`` with the power function P; only if `return_std`. It takes the
+            outputs for a sample of a Gaussian process with this kernel. For smooth
+            functions it tends to be too wide between centres.
+        """
+        check_is_fitted(self)
+        X = self._validated(X)
+        y = self._evaluate(X).reshape((len(X), *self.dual_coef_.shape[1:]))
+        if not return_std:
+            return y
+        power = _solvers.power(self._native_basis(), X, self.n_jobs)
+        power = power.reshape((-1,) + (1,) * (self.dual_coef_.ndim - 1))
+        return y, np.hypot(self.amplitude_ * power, self.noise_)
+
+    def power_function(self, X: Any) -> Array:
+        """Evaluate the power function, which bounds the error of interpolation.
+
+        .. math:: P(x)^2 = k(x, x) - k(x, \\Xi)\\, K^{-1} k(\\Xi, x)
+
+        is the squared distance of k(., x) from the span of the sections, so that
+        ``|g(x) - estimate(x)| <= P(x) ||g||_H`` for every g in the native space H of
+        the kernel ([2]_ of the class, Theorem 11.4). With a `trend` it is that of the
+        span with the polynomials, and with interpolation and ``alpha > 0`` K has
+        `alpha` on its diagonal.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            The states, or their distances to the centres with
+            ``centers="precomputed"``.
+
+        Returns
+        -------
+        power : ndarray of shape (n_samples,)
+            Zero at the centres (if alpha is 0, up to the square root of the rounding
+            error), and at most sqrt(k(x, x)) without a `trend`.
+        """
+        check_is_fitted(self)
+        return _solvers.power(self._native_basis(), self._validated(X), self.n_jobs)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the factor out: it is large, and follows from the rest."""
+        state = dict(super().__getstate__())
+        state.pop("_basis", None)
+        return state
+
+    @property
+    def _precomputed(self) -> bool:
+        return isinstance(self.centers, str) and self.centers == "precomputed"
+
+    def _check_parameters(self) -> None:
+        check_number(self.alpha, "alpha")
+        for name, choices in (
+            ("method", ("interpolation", "least_squares")),
+            ("trend", tuple(DEGREES)),
+            ("solver", ("auto", "cholesky")),
+        ):
+            if (value := getattr(self, name)) not in choices:
+                raise ValueError(
+                    f"{name} must be one of {', '.join(map(repr, choices))}, "
+                    f"got {value!r}."
+                )
+        if self._precomputed and self.trend == "linear":
+            raise ValueError(
+                "trend='linear' needs the states, but centers='precomputed' gives "
+                "distances only; pass the states and centers=SeparatedCenterSelector()."
+            )
+
+    def _choose_centers(
+        self, X: Array, y: Array
+    ) -> tuple[Array, Indices | None, Indices | None, Array]:
+        """Return centres, their rows, how many rows each stands for, and outputs."""
+        if self.centers is None:
+            return self._distinct_rows(X, y)
+        rows = None
+        if isinstance(self.centers, str):
+            raise ValueError(
+                "centers must be None, an array, a selector or 'precomputed', got "
+                f"{self.centers!r}."
+            )
+        if hasattr(self.centers, "fit"):
+            selector = clone(self.centers).fit(X, y)
+            if not hasattr(selector, "cluster_centers_"):
+                raise ValueError(
+                    f"centers={self.centers!r} has no cluster_centers_ after fit; use "
+                    "SeparatedCenterSelector, KMeans, or an array of centres."
+                )
+            centers = np.asarray(selector.cluster_centers_, dtype=np.float64)
+            rows = getattr(selector, "center_indices_", None)
+            # A frozen selector knows rows of the data that it was fitted to.
+            if rows is not None and not (
+                rows.max() < len(X) and np.array_equal(X[rows], centers)
+            ):
+                rows = None
+        else:
+            centers = check_array(
+                self.centers, dtype=np.float64, copy=True, input_name="centers"
+            )
+        if centers.shape[1] != X.shape[1]:
+            raise ValueError(
+                f"centers has {centers.shape[1]} features, but X has {X.shape[1]}; "
+                "they must be states of the same kind (and scale)."
+            )
+        if rows is None and self.method == "interpolation":
+            rows = self._find_rows(X, centers)
+        return centers, rows, None, y
+
+    def _distinct_rows(
+        self, X: Array, y: Array
+    ) -> tuple[Array, Indices, Indices, Array]:
+        rows, group, counts = _distinct(X)
+        if len(rows) == len(X):
+            return X, rows, counts, y
+        mean = np.zeros((len(rows), y.shape[1]))
+        np.add.at(mean, group, y)
+        mean /= counts[:, np.newaxis]
+        deviation = np.abs(y - mean[group]).max(axis=1)
+        worst = int(deviation.argmax())
+        if (
+            self.method == "interpolation"
+            and self.alpha == 0
+            and deviation[worst] > 1e-10 * np.abs(y).max()
+        ):
+            equal = np.flatnonzero(group == group[worst])
+            first = equal[0]
+            other = equal[np.abs(y[equal] - y[first]).max(axis=1).argmax()]
+            raise ValueError(
+                f"rows {first} and {other} of X are equal but their outputs differ: "
+                f"with alpha=0 no function interpolates both. Set alpha > 0 or "
+                "method='least_squares', or add delays to the states."
+            )
+        merged = y.copy()
+        merged[rows] = mean
+        return X[rows], rows, counts, merged
+
+    def _find_rows(self, X: Array, centers: Array) -> Indices:
+        first, group, _ = _distinct(np.vstack([X, centers]))
+        rows = first[group[len(X) :]]
+        missing = rows >= len(X)
+        if missing.any():
+            raise ValueError(
+                f"centers={self.centers!r} has {missing.sum()} of {len(centers)} "
+                "centres that are no rows of X, so that their outputs are unknown; "
+                "use method='least_squares', or choose the centres among the rows "
+                "(SeparatedCenterSelector does)."
+            )
+        return rows
+
+    def _store(
+        self,
+        X: Array,
+        y: Array,
+        kernel: Any,
+        rows: Indices | None,
+        nugget: Array,
+        solution: _solvers.Solution,
+    ) -> None:
+        kept, tail = solution.kept, solution.basis.tail
+        freedom = len(kept) - len(solution.trend)
+        amplitude = solution.seminorm / np.sqrt(max(freedom, 1))
+
+        def shaped(values: Array) -> Array:
+            return values.reshape((*values.shape[:-1], *y.shape[1:]))[()]
+
+        for stale in ("centers_", "trend_coef_"):
+            if hasattr(self, stale):
+                delattr(self, stale)
+        self.kernel_ = kernel
+        self.center_indices_ = None if rows is None else rows[kept]
+        self.dual_coef_ = shaped(solution.dual)
+        self.rcond_ = solution.basis.rcond
+        self._sections = solution.basis.sections
+        if isinstance(self._sections, _solvers.KernelSections):
+            self.centers_ = self._sections.centers
+        self._nugget = nugget[kept]
+        self._tail = tail
+        self._trend = solution.trend
+        self._basis = solution.basis
+        if tail is not None:
+            coefficients = tail.transform @ solution.trend
+            n_terms = 1 if self.trend == "constant" else len(coefficients)
+            self.trend_coef_ = shaped(coefficients[:n_terms])
+        self.amplitude_ = shaped(amplitude)
+        noise = amplitude * np.sqrt(self.alpha)
+        if self.method == "least_squares" and len(X) > len(kept):
+            residual = y.reshape(len(y), -1) - self._evaluate(X)
+            noise = np.linalg.norm(residual, axis=0) / np.sqrt(len(X) - len(kept))
+        self.noise_ = shaped(noise)
+
+    def _evaluate(self, X: Array) -> Array:
+        dual = self.dual_coef_.reshape(len(self.dual_coef_), -1)
+        y = _solvers.evaluate(self._sections, X, dual, self.n_jobs)
+        if self._tail is not None:
+            y += self._tail(X) @ self._trend
+        return y
+
+    def _validated(self, X: Any) -> Array:
+        X = validate_data(self, X, reset=False, dtype=np.float64)
+        if self._precomputed:
+            _check_distances(X)
+        return X
+
+    def _native_basis(self) -> _solvers.NativeBasis:
+        if not hasattr(self, "_basis"):
+            if self._precomputed:
+                raise ValueError(
+                    "With centers='precomputed' the distances between the centres are "
+                    "not pickled, so that a loaded model has no power function or "
+                    "standard deviation; fit again, or fit on the states with "
+                    "centers=SeparatedCenterSelector()."
+                )
+            self._basis = _solvers.NativeBasis.of(
+                self._sections, self.centers_, self._nugget, self._tail
+            )
+        return self._basis
+
+
+_REMEDY = (
+    "Choose centres with a larger separation, lower beta, set alpha > 0, or take a "
+    "less smooth kernel."
+)
+
+
+def _distinct(X: Array) -> tuple[Indices, Indices, Indices]:
+    """Return the first row of each distinct one, each row's group, and their sizes."""
+    _, first, group, counts = np.unique(
+        X, axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    # In the order of the rows, not in that of their values.
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[group.reshape(-1)], counts[order]
+
+
+def _check_distances(X: Array) -> None:
+    if X.min() < 0:
+        raise ValueError(
+            f"X holds {X.min():.3g}: with centers='precomputed' its entries are "
+            "distances to the centres, as SeparatedCenterSelector.transform gives them."
+        )
+
+
+def _rows_at_distance_zero(X: Array) -> Indices:
+    rows = X.argmin(axis=0)
+    apart = np.flatnonzero(X[rows, np.arange(X.shape[1])] != 0)
+    if len(apart):
+        raise ValueError(
+            f"With centers='precomputed' every centre must be a row of X at distance "
+            f"zero from itself, but {len(apart)} of {X.shape[1]} columns (first "
+            f"{apart[0]}) hold no zero. Rows left out after the selector, or centres "
+            "such as those of KMeans, cause this; pass the states and "
+            "centers=SeparatedCenterSelector() instead."
+        )
+    return rows

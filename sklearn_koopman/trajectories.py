@@ -1,0 +1,347 @@
+"""Pairing of samples along trajectories, and cross-validation that respects them."""
+
+from collections.abc import Iterator, Sequence
+from numbers import Integral
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.model_selection import BaseCrossValidator, GroupKFold
+from sklearn.utils import Bunch, check_array, check_scalar, indexable
+
+__all__ = ["TrajectoryKFold", "trajectory_pairs"]
+
+
+def trajectory_pairs(
+    trajectories: ArrayLike | Sequence[ArrayLike],
+    outputs: ArrayLike | Sequence[ArrayLike] | None = None,
+    *,
+    lag: int = 1,
+    delays: int = 1,
+    delay_step: int = 1,
+    outputs_in_state: bool = False,
+) -> Bunch:
+    """Pair every state with the output one lag after it, within each trajectory.
+
+    From samples :math:`x_0, x_1, \\dots` of one trajectory and its outputs
+    :math:`y_k = G(x_k)`, row `k` of the result pairs the (delay-embedded) state
+
+    .. math:: (x_k, x_{k-\\tau}, \\dots, x_{k-(p-1)\\tau})
+
+    with the output :math:`y_{k + \\ell} = (U_{f^\\ell} G)(x_k)` for `lag`
+    :math:`\\ell`, `delays` :math:`p` and `delay_step` :math:`\\tau`. These are the
+    pairs :math:`(\\xi, \\upsilon)` of [1]_, Section 3.2. No pair straddles two
+    trajectories.
+
+    Parameters
+    ----------
+    trajectories : array-like of shape (n_samples, n_features), or list of them
+        One trajectory, or several of any lengths, each sampled at the same rate.
+        A NumPy array with three axes counts as a list of trajectories.
+    outputs : array-like of shape (n_samples,) or (n_samples, n_outputs), or list \
+of them, default=None
+        What is to be predicted, sampled together with the states: one array a
+        trajectory, of the same length. By default the states themselves.
+    lag : int, default=1
+        How many samples ahead the output lies.
+    delays : int, default=1
+        How many copies of the state a row holds, the current one included. Motion
+        that is not Markov in the measured state (real gait in joint angles) needs
+        more than one.
+    delay_step : int, default=1
+        Samples between two copies of the state.
+    outputs_in_state : bool, default=False
+        Whether the current outputs, delayed like the states, join the row. They
+        stand behind all copies of the state. Use it where the output is measured
+        when predicting, too.
+
+    Returns
+    -------
+    pairs : :class:`~sklearn.utils.Bunch`
+        With the attributes
+
+        X : ndarray of shape (n_pairs, n_columns)
+            The states, the current copy first, then older and older ones.
+        y : ndarray of shape (n_pairs,) or (n_pairs, n_outputs)
+            The outputs one `lag` after each row.
+        X_next : ndarray of shape (n_pairs, n_columns)
+            The states one `lag` after each row.
+        groups : ndarray of shape (n_pairs,)
+            The number of the trajectory that each row comes from.
+        sample_index : ndarray of shape (n_pairs,)
+            Row j succeeds row i (one `lag` later on the same trajectory) exactly if
+            ``sample_index[j] == sample_index[i] + 1``.
+
+    Raises
+    ------
+    ValueError
+        If a trajectory is too short for one pair, holds NaN or infinity, or differs
+        from the others in its number of columns; if outputs and trajectories differ
+        in number or length; if `outputs_in_state` is set without `outputs`.
+
+    See Also
+    --------
+    TrajectoryKFold : Cross-validation that leaves out whole trajectories.
+
+    References
+    ----------
+    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
+       of Animal Motions over Unknown Submanifolds".
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_koopman.trajectories import trajectory_pairs
+    >>> walk, run = np.arange(5.0).reshape(-1, 1), np.arange(10.0, 14).reshape(-1, 1)
+    >>> pairs = trajectory_pairs([walk, run], lag=1, delays=2)
+    >>> pairs.X
+    array([[ 1.,  0.],
+           [ 2.,  1.],
+           [ 3.,  2.],
+           [11., 10.],
+           [12., 11.]])
+    >>> pairs.y.ravel()
+    array([ 2.,  3.,  4., 12., 13.])
+    >>> pairs.groups
+    array([0, 0, 0, 1, 1])
+    """
+    for name, value in (("lag", lag), ("delays", delays), ("delay_step", delay_step)):
+        check_scalar(value, name, Integral, min_val=1)
+    if outputs is None and outputs_in_state:
+        raise ValueError(
+            "outputs_in_state=True needs outputs; pass the measured outputs, or use "
+            "delays to extend the state by its own past."
+        )
+    states = _as_trajectories(trajectories, "trajectories")
+    measured = states if outputs is None else _as_trajectories(outputs, "outputs")
+    if len(states) != len(measured):
+        raise ValueError(
+            f"outputs holds {len(measured)} arrays for {len(states)} trajectories; "
+            "pass one array of outputs for every trajectory."
+        )
+
+    reach = (delays - 1) * delay_step
+    parts: dict[str, list[NDArray[Any]]] = {
+        name: [] for name in ("X", "y", "X_next", "groups", "sample_index")
+    }
+    clock = 0
+    for number, (x, y) in enumerate(zip(states, measured, strict=True)):
+        if len(x) != len(y):
+            raise ValueError(
+                f"trajectory {number} has {len(x)} samples but its outputs have "
+                f"{len(y)}; states and outputs must be sampled together."
+            )
+        n_pairs = len(x) - reach - lag
+        if n_pairs < 1:
+            raise ValueError(
+                f"trajectory {number} has {len(x)} samples; lag={lag}, "
+                f"delays={delays} and delay_step={delay_step} need at least "
+                f"{reach + lag + 1}. Leave it out, or lower lag, delays or delay_step."
+            )
+        state = _delay_embedding(x, delays, delay_step)
+        if outputs_in_state:
+            columns = y.reshape(len(y), -1)
+            state = np.hstack([state, _delay_embedding(columns, delays, delay_step)])
+        # With a lag of several samples a trajectory falls into `lag` interleaved
+        # runs, each of which is a trajectory of the lag-step map.
+        step, run = np.divmod(np.arange(n_pairs), lag)
+        run_length = -(-n_pairs // lag) + 1
+        parts["X"].append(state[:n_pairs])
+        parts["y"].append(y[reach + lag :])
+        parts["X_next"].append(state[lag:])
+        parts["groups"].append(np.full(n_pairs, number))
+        parts["sample_index"].append(clock + run * run_length + step)
+        clock += lag * run_length
+    return Bunch(**{name: np.concatenate(part) for name, part in parts.items()})
+
+
+def _as_trajectories(data: Any, name: str) -> list[NDArray[np.float64]]:
+    """Validate one trajectory or a list of them into a list of float arrays."""
+    if getattr(data, "ndim", 3) < 3:
+        data = [data]
+    elif not hasattr(data, "__len__") or isinstance(data, str | bytes | dict):
+        raise ValueError(
+            f"{name} must be an array or a list of arrays, got {type(data).__name__}."
+        )
+    if len(data) == 0:
+        raise ValueError(f"{name} is empty; pass at least one trajectory.")
+    arrays: list[NDArray[np.float64]] = []
+    for number, item in enumerate(data):
+        label = f"{name}[{number}]"
+        try:
+            array = check_array(
+                item,
+                dtype=np.float64,
+                ensure_2d=False,
+                ensure_all_finite="allow-nan",
+                input_name=label,
+            )
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{label}: {error}") from error
+        if array.ndim != 2 and not (array.ndim == 1 and name == "outputs"):
+            raise ValueError(
+                f"{label} has shape {array.shape}; expected (n_samples, n_features). "
+                "Reshape a scalar series with .reshape(-1, 1)."
+            )
+        gaps = np.flatnonzero(np.isnan(array).reshape(len(array), -1).any(axis=1))
+        if len(gaps):
+            raise ValueError(
+                f"{label} holds NaN in {len(gaps)} of {len(array)} samples, first in "
+                f"sample {gaps[0]}; fill the gaps, or split the trajectory there so "
+                "that no pair reaches across."
+            )
+        if array.shape[1:] != (arrays[0] if arrays else array).shape[1:]:
+            raise ValueError(
+                f"{label} has shape {array.shape} but {name}[0] has "
+                f"{arrays[0].shape}; all must have the same columns."
+            )
+        arrays.append(array)
+    return arrays
+
+
+def _delay_embedding(
+    x: NDArray[np.float64], delays: int, delay_step: int
+) -> NDArray[np.float64]:
+    """Rows (x_k, x_{k-step}, ...) for every k that has all its delayed copies."""
+    reach = (delays - 1) * delay_step
+    return np.hstack(
+        [
+            x[reach - back : len(x) - back]
+            for back in range(0, reach + 1, delay_step)  # the current copy first
+        ]
+    )
+
+
+class TrajectoryKFold(BaseCrossValidator):
+    """K-fold cross-validation that keeps trajectories, or blocks of one, together.
+
+    Rows that follow each other on a trajectory are nearly equal. Shuffled into
+    training and test folds they flatter a model by orders of magnitude; only parts
+    of the motion that were left out as a whole tell how well it predicts.
+
+    With `groups` given to :meth:`split` (one label a row, such as the `groups` of
+    :func:`trajectory_pairs`), every fold leaves out whole trajectories, and the
+    folds are balanced by their numbers of samples. Without, the rows are taken as
+    one trajectory in the order of time: every fold leaves out one contiguous block,
+    and `gap` rows on both sides of it are used neither for training nor for testing.
+
+    Parameters
+    ----------
+    n_splits : int, default=5
+        Number of folds, at least 2 and at most the number of trajectories.
+    gap : int, default=0
+        Rows dropped from the training set on both sides of a block. With a lag and
+        delay-embedded states, rows closer than
+        ``lag + (delays - 1) * delay_step`` share samples: that is the gap which
+        keeps them apart. Whole trajectories share none, so with `groups` there is
+        nothing to drop and `gap` is not used.
+
+    See Also
+    --------
+    trajectory_pairs : Makes rows, and the `groups` to split them by.
+    sklearn.model_selection.GroupKFold : The same without blocks.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_koopman.trajectories import TrajectoryKFold
+    >>> X = np.zeros((6, 1))
+    >>> for train, test in TrajectoryKFold(3, gap=1).split(X):
+    ...     print(train, test)
+    [3 4 5] [0 1]
+    [0 5] [2 3]
+    [0 1 2] [4 5]
+    >>> for train, test in TrajectoryKFold(2).split(X, groups=[7, 7, 8, 8, 9, 9]):
+    ...     print(train, test)
+    [2 3] [0 1 4 5]
+    [0 1 4 5] [2 3]
+    """
+
+    # Asks for `groups` under metadata routing without a set_split_request.
+    __metadata_request__split = {"groups": True}
+
+    def __init__(self, n_splits: int = 5, *, gap: int = 0) -> None:
+        self.n_splits = n_splits
+        self.gap = gap
+
+    def split(
+        self, X: Any, y: Any = None, groups: Any = None
+    ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+        """Generate the row numbers of training and test set, fold by fold.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            The rows to split; only their number is used.
+        y : array-like, default=None
+            Not used.
+        groups : array-like of shape (n_samples,), default=None
+            The trajectory of each row. None takes all rows as one trajectory.
+
+        Yields
+        ------
+        train : ndarray
+            The training rows of that fold.
+        test : ndarray
+            The test rows of that fold.
+        """
+        self._check_parameters()
+        X, y, groups = indexable(X, y, groups)
+        n_samples = X.shape[0] if hasattr(X, "shape") else len(X)
+        rows = np.arange(n_samples)
+        for test in self._iter_test_indices(X, y, groups):
+            left_out = np.zeros(n_samples, dtype=bool)
+            left_out[test] = True
+            if groups is None:
+                left_out[max(test[0] - self.gap, 0) : test[-1] + 1 + self.gap] = True
+            if left_out.all():
+                raise ValueError(
+                    f"gap={self.gap} leaves no training rows beside the block of "
+                    f"{len(test)} of {n_samples} rows; lower gap or raise n_splits."
+                )
+            yield rows[~left_out], test
+
+    def get_n_splits(self, X: Any = None, y: Any = None, groups: Any = None) -> int:
+        """Return the number of folds.
+
+        Parameters
+        ----------
+        X : array-like, default=None
+            Not used.
+        y : array-like, default=None
+            Not used.
+        groups : array-like, default=None
+            Not used.
+
+        Returns
+        -------
+        n_splits : int
+            The number of folds.
+        """
+        return self.n_splits
+
+    def _iter_test_indices(
+        self, X: Any = None, y: Any = None, groups: Any = None
+    ) -> Iterator[NDArray[np.intp]]:
+        if groups is not None:
+            n_trajectories = len(np.unique(np.asarray(groups)))
+            if n_trajectories < self.n_splits:
+                raise ValueError(
+                    f"n_splits={self.n_splits} needs as many trajectories, but groups "
+                    f"holds {n_trajectories}; lower n_splits, or leave groups out to "
+                    "split one trajectory into blocks."
+                )
+            for _, test in GroupKFold(self.n_splits).split(X, y, groups):
+                yield test
+            return
+        n_samples = X.shape[0] if hasattr(X, "shape") else len(X)
+        if n_samples < self.n_splits:
+            raise ValueError(
+                f"n_splits={self.n_splits} needs as many rows, got {n_samples}."
+            )
+        yield from np.array_split(np.arange(n_samples), self.n_splits)
+
+    def _check_parameters(self) -> None:
+        # Checked when splitting, so that the constructor only stores.
+        check_scalar(self.n_splits, "n_splits", Integral, min_val=2)
+        check_scalar(self.gap, "gap", Integral, min_val=0)
