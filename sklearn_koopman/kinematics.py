@@ -128,14 +128,14 @@ def leg_angles(
     thigh, shank = (_as_complex(vectors @ axes) for vectors in segments.values())
     # The sum turns -0.0 into 0.0: a shank folded onto the thigh is at pi, not -pi.
     bend = thigh * shank.conj() + 0.0
-    angles = np.column_stack([np.angle(thigh + 0.0), np.angle(bend)])
+    angles = np.column_stack([np.angle(thigh), np.angle(bend)])
     reach = (positions["ankle"] - positions["hip"]) @ axes
     return angles, reach / lengths.sum() if normalize else reach
 
 
 def _check_markers(**markers: Any) -> dict[str, NDArray[np.float64]]:
     """Validate markers into finite arrays of one shape (n_frames, 3)."""
-    positions = {name: np.asarray(m, dtype=np.float64) for name, m in markers.items()}
+    positions = {name: _as_floats(marker, name) for name, marker in markers.items()}
     for name, position in positions.items():
         if position.ndim != 2 or position.shape[1] != 3 or len(position) == 0:
             raise ValueError(
@@ -158,13 +158,21 @@ def _check_markers(**markers: Any) -> dict[str, NDArray[np.float64]]:
     return positions
 
 
+def _as_floats(value: Any, name: str) -> NDArray[np.float64]:
+    """Convert to an array of floats, or name the parameter that is none."""
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be an array of numbers: {error}.") from error
+
+
 def _direction(value: Any, name: str) -> NDArray[np.float64]:
     """Return a unit vector from the number of a column or a vector."""
     if isinstance(value, int | np.integer) and not isinstance(value, bool):
         if not 0 <= value < 3:
             raise ValueError(f"{name}={value} is no column; pass 0, 1 or 2.")
         return np.eye(3)[int(value)]
-    vector = np.asarray(value, dtype=np.float64)
+    vector = _as_floats(value, name)
     length = np.linalg.norm(vector)
     if vector.shape != (3,) or not 0 < length < np.inf:
         raise ValueError(

@@ -166,6 +166,7 @@ def _with(marker, frame, value):
         (_with("ankle", 7, np.inf), r"ankle holds NaN or infinity .* frame 7"),
         (lambda m: m.update(hip=m["hip"][:-1]), r"hip 199, knee 200, ankle 200"),
         (lambda m: m.update(hip=m["hip"][:, :2]), r"hip has shape \(200, 2\)"),
+        (lambda m: m.update(knee=[[1, 2, 3], [4]]), r"knee must be an array of num"),
         (lambda m: m.update(hip=m["hip"][0]), r"hip has shape \(3,\)"),
         (lambda m: m.update(hip=m["hip"][:0]), r"hip has shape \(0, 3\)"),
         (lambda m: m.update(knee=m["hip"]), r"thigh has no length .* frame 0"),
@@ -195,6 +196,7 @@ def test_bad_markers(walk, change, message):
         ({"forward": [1, np.nan, 0], "up": 1}, "forward=.* is no direction"),
         ({"forward": 0, "up": [0, 1]}, "up=.* is no direction"),
         ({"forward": 0, "up": True}, "up=True is no direction"),
+        ({"forward": "x", "up": 1}, "forward must be an array of numbers"),
         ({"forward": 0.0, "up": 1}, "forward=0.0 is no direction"),
     ],
 )

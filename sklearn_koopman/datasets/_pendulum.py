@@ -40,9 +40,10 @@ def make_pendulum(
     n_samples : int, default=256
         Number of rows of `X` from each trajectory; one state more is simulated.
     initial : array-like of shape (2,) or (n_trajectories, 2), or "random"
-        The (momentum, position) where each trajectory starts, by default (0, 2). With "random" the
-        starts are librations of random amplitude and phase: pendulums that swing
-        through at most 2.5 rad to either side and never turn over.
+        The (momentum, position) where each trajectory starts, by default (0, 2).
+        With "random" the starts are librations of random amplitude and phase:
+        pendulums that swing through at most 2.5 rad to either side and never turn
+        over.
     n_trajectories : int, default=None
         Number of random starts, with ``initial="random"`` only; None means one.
     step : float, default=0.1
