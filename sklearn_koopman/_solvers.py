@@ -18,12 +18,16 @@ from typing import Any, Protocol
 import numpy as np
 from joblib import effective_n_jobs
 from numpy.typing import NDArray
+from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dpocon, dpotrf, dpotrs, dpstrf, dtrtrs
 from sklearn.utils import gen_batches
 from sklearn.utils.parallel import Parallel, delayed
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
+
+# Loops over blocks use SciPy's BLAS throughout: NumPy's wheels bring one of their own,
+# and the idle threads of either slow down the other several times.
 
 # Entries of a tile of a kernel matrix: half a megabyte, so that the few arrays that
 # evaluating a kernel takes stay in the cache.
@@ -154,21 +158,23 @@ class NativeBasis:
 
     def components(self, X: Array) -> tuple[Array, Array]:
         """Return a(x) and R^-T p(x) - Q^T a(x): (M, rows) and (q, rows)."""
-        a = _solve_triangular(self.lower, self.sections(X).T, overwrite=True)
+        a = _solve_triangular(
+            self.lower, matrix(self.sections, X, len(self.lower)).T, overwrite=True
+        )
         if self.tail is None:
             return a, np.empty((0, len(X)))
-        p: Array = np.linalg.solve(self.R.T, self.tail(X).T).astype(np.float64)
-        return a, p - self.Q.T @ a
+        p = np.linalg.solve(self.R.T, self.tail(X).T)
+        return a, np.subtract(p, dgemm(1.0, self.Q, a, trans_a=1), dtype=np.float64)
 
     def features(self, X: Array) -> Array:
         """Evaluate the basis functions: (M, rows)."""
         a, excess = self.components(X)
-        return a + self.Q @ excess if self.tail else a
+        return dgemm(1.0, self.Q, excess, 1.0, a, overwrite_c=1) if self.tail else a
 
     def variance(self, X: Array) -> Array:
         """Evaluate the squared power function."""
         a, excess = self.components(X)
-        explained = (a * a).sum(axis=0) - (excess * excess).sum(axis=0)
+        explained = np.einsum("ij,ij->j", a, a) - np.einsum("ij,ij->j", excess, excess)
         return np.maximum(self.sections.diagonal(X) - explained, 0.0)
 
     def seminorm_part(self, w: Array) -> Array:
@@ -178,7 +184,8 @@ class NativeBasis:
     def coefficients(self, w: Array) -> tuple[Array, Array]:
         """Turn coordinates into coefficients of the sections and of the tail."""
         dual = _solve_triangular(self.lower, self.seminorm_part(w), transpose=True)
-        return dual, np.linalg.solve(self.R, self.Q.T @ w)
+        trend = np.linalg.solve(self.R, self.Q.T @ w)
+        return dual, trend.astype(np.float64, copy=False)
 
     def least_squares(self, X: Array, y: Array, alpha: float) -> Array:
         """Return the coordinates that minimise |y - g(X)|^2 + alpha |g|_H^2.
@@ -187,23 +194,24 @@ class NativeBasis:
         Cholesky factor leaves unused: memory stays at one M x M matrix.
         """
         F, M = self.lower, len(self.lower)
-        width = max(64, M // 32)
-        panels = list(gen_batches(M, width))
+        panels = list(gen_batches(M, max(64, M // 32)))
         corners = [np.zeros((panel.stop - panel.start,) * 2) for panel in panels]
         target = np.zeros((M, y.shape[1]))
         for panel in panels:
             F[: panel.start, panel] = 0.0
-        for rows in gen_batches(len(X), width):
+        for rows in gen_batches(len(X), max(128, M // 16)):
             a = self.features(X[rows])
-            target += a @ y[rows]
+            target += dgemm(1.0, a, y[rows])
             for panel, corner in zip(panels, corners, strict=True):
-                F[: panel.start, panel] += a[: panel.start] @ a[panel].T
-                corner += a[panel] @ a[panel].T
+                product = dgemm(1.0, a[: panel.stop], a[panel], trans_b=1)
+                F[: panel.start, panel] += product[: panel.start]
+                corner += product[panel.start :]
         diagonal = F.diagonal().copy()
         for panel, corner in zip(panels, corners, strict=True):
             # alpha (I - Q Q^T): the polynomial part goes unpenalised.
-            F[: panel.start, panel] -= alpha * self.Q[: panel.start] @ self.Q[panel].T
-            corner -= alpha * self.Q[panel] @ self.Q[panel].T
+            product = self.Q[: panel.stop] @ self.Q[panel].T
+            F[: panel.start, panel] -= alpha * product[: panel.start]
+            corner -= alpha * product[panel.start :]
             corner[np.diag_indices_from(corner)] += alpha
             F[panel, panel] = np.triu(corner) + np.tril(F[panel, panel], -1)
         _, info = dpotrf(F, lower=0, clean=0, overwrite_a=1)
@@ -291,16 +299,24 @@ def solve(
         kept = independent_centers(sections, points, nugget, tolerance)
 
 
+def matrix(sections: Sections, X: Array, n_columns: int) -> Array:
+    """Evaluate k(X, Xi) tile by tile: evaluating a kernel takes several arrays."""
+    K = np.empty((len(X), n_columns))
+    for rows in gen_batches(len(X), _tile_rows(n_columns)):
+        K[rows] = sections(X[rows])
+    return K
+
+
 def gram_matrix(
     sections: Sections, points: Array, nugget: Array
 ) -> tuple[Array, float]:
     """Assemble the Gram matrix plus a diagonal in Fortran order, and its 1-norm."""
     n = len(points)
-    K = np.empty((n, n))
-    norm = 0.0
-    for rows in gen_batches(n, _tile_rows(n)):
-        K[rows] = sections(points[rows])
-        norm = max(norm, float(np.abs(K[rows]).sum(axis=1).max()))
+    K = matrix(sections, points, n)
+    norm = max(
+        float(np.abs(K[rows]).sum(axis=1).max())
+        for rows in gen_batches(n, _tile_rows(n))
+    )
     # Not what the sections gave: a noise term of the kernel counts here alone.
     K[np.diag_indices(n)] = sections.diagonal(points) + nugget
     return K.T, norm + float(nugget.max())
