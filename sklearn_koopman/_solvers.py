@@ -34,8 +34,10 @@ Indices = NDArray[np.intp]
 TILE = 2**16
 # Below this reciprocal condition number a solution is verified before it is used.
 SUSPECT = 1e-10
-# Largest error, relative to the values to be met, that passes the verification.
-ACCURACY = 1e-8
+# Largest error, relative to the values to be met, that passes the verification. Large
+# coefficients of alternating sign cost smooth kernels this much without harm, while
+# leaving out more centres would cost them more.
+ACCURACY = 1e-6
 
 
 class Sections(Protocol):
@@ -267,12 +269,14 @@ def solve(
     degree: int | None,
     *,
     drop_dependent: bool,
-) -> Solution:
+) -> tuple[Solution, float]:
     """Apply a rule in the native basis of the centres.
 
     Where the Gram matrix is not positive definite, or the solution misses the values
-    that it should have, the centres that depend on others (to a tolerance that is
-    raised until it suffices) are left out: `kept` tells which ones are not.
+    that it should have, centres whose sections the others reproduce are left out:
+    `kept` tells which ones are not. The second value returned is the square of the
+    power function, relative to the kernel, at which a section counts as reproduced. It
+    is raised until that suffices, and 0 if no centre had to go.
 
     Raises
     ------
@@ -288,12 +292,13 @@ def solve(
             basis = NativeBasis.of(offered, points[kept], nugget[kept], tail)
             solution = rule(basis, kept)
             if solution.error <= ACCURACY:
-                return solution
+                return solution, tolerance
             reason = f"the solution misses its values by {solution.error:.1e}"
             del solution, basis
         except np.linalg.LinAlgError as error:
             reason = str(error)
-        tolerance = max(100 * tolerance, len(points) * np.finfo(float).eps)
+        # Pivots are accurate to several units of rounding, and rarely to fewer.
+        tolerance = max(8 * tolerance, 64 * float(np.finfo(np.float64).eps))
         if not drop_dependent or tolerance > 1:
             raise np.linalg.LinAlgError(reason)
         kept = independent_centers(sections, points, nugget, tolerance)

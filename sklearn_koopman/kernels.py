@@ -377,7 +377,7 @@ class Wendland(RadialKernel):
         return exponent + k, coefficients(exponent)
 
 
-class Gaussian(RadialKernel):
+class Gaussian(RadialKernel):  # numpydoc ignore=PR02
     """Gaussian kernel.
 
     .. math:: k(x, y) = \\exp(-\\|x - y\\|^2 / (2 \\beta^2)),
@@ -419,7 +419,7 @@ class Gaussian(RadialKernel):
         return np.inf
 
 
-class InverseMultiquadric(RadialKernel):
+class InverseMultiquadric(RadialKernel):  # numpydoc ignore=PR02
     """Inverse multiquadric kernel.
 
     .. math:: k(x, y) = (1 + \\|x - y\\|^2 / \\beta^2)^{-1/2} .

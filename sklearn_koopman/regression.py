@@ -79,7 +79,8 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         What happens where the Gram matrix is not numerically positive definite.
 
         - "auto": a pivoted Cholesky factorisation leaves out the centres that
-          depend on others, with a warning.
+          depend on others, with a warning unless `alpha` makes them irrelevant to
+          least squares.
         - "cholesky": an error.
     n_jobs : int, default=None
         Number of threads for predictions. None means 1 unless in a
@@ -213,7 +214,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Warns
         -----
         LinAlgWarning
-            If dependent centres were left out.
+            If dependent centres were left out, and that may matter.
         """
         X, y = validate_data(
             self, X, y, multi_output=True, y_numeric=True, dtype=np.float64
@@ -256,7 +257,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 )
             rule = _solvers.regression(X, outputs, self.alpha)
         try:
-            solution = _solvers.solve(
+            solution, tolerance = _solvers.solve(
                 sections,
                 points,
                 nugget,
@@ -270,7 +271,10 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 f"{_REMEDY}"
             ) from error
         n_dropped = len(points) - len(solution.kept)
-        if n_dropped:
+        # A section that the others reproduce to sqrt(tolerance) changes a regularised
+        # fit by less than this part of its residuals: nothing to act upon.
+        negligible = len(X) * tolerance <= 1e-5 * self.alpha
+        if n_dropped and not (self.method == "least_squares" and negligible):
             warnings.warn(
                 f"The Gram matrix of kernel={kernel!r} on {len(points)} centres is "
                 f"numerically singular; {n_dropped} centres that depend on the others "
@@ -298,9 +302,10 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             The estimate of G(f(x)).
         y_std : ndarray of the shape of `y`
             Standard deviation of the outputs, ``sqrt((amplitude_ * P) ** 2 + noise_
-            ** 2)`` with the power function P; only if `return_std`. It takes the
-            outputs for a sample of a Gaussian process with this kernel. For smooth
-            functions it tends to be too wide between centres.
+            ** 2)`` with the power function P; only if `return_std`. This takes the
+            outputs for a sample of a Gaussian process with this kernel and
+            independent noise. It is too wide where they are smoother than that, and
+            too narrow on a trajectory that differs from those of the training data.
         """
         check_is_fitted(self)
         X = self._validated(X)
@@ -515,8 +520,8 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
 
 _REMEDY = (
-    "Choose centres with a larger separation, lower beta, set alpha > 0, or take a "
-    "less smooth kernel."
+    "Choose centres with a larger separation, lower beta, raise alpha, or take a less "
+    "smooth kernel."
 )
 
 

@@ -1,0 +1,27 @@
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sklearn_koopman.kinematics import leg_angles
+
+
+@pytest.fixture(scope="session")
+def walking():
+    """Angles and ankle positions (mm) of the four treadmill trials, one a speed."""
+    folder = Path(__file__).parents[1] / os.environ.get(
+        "SKLEARN_KOOPMAN_DATA", "../shared/data"
+    )
+    path = folder / "walking_wbds01_T01-T04_left.npz"
+    if not path.exists():
+        pytest.skip("recorded walking is not part of the package; its folder is absent")
+    data = np.load(path)
+    angles, ankles = [], []
+    for trial in np.unique(data["trial"]):
+        rows = data["trial"] == trial
+        markers = {joint: data[joint][rows] for joint in ("hip", "knee", "ankle")}
+        state, ankle = leg_angles(**markers, forward=0, up=1)
+        angles.append(state)
+        ankles.append(ankle)
+    return angles, ankles
