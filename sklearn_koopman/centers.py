@@ -16,7 +16,7 @@ from sklearn.base import (
     ClusterMixin,
     TransformerMixin,
 )
-from sklearn.utils import check_scalar
+from sklearn.utils import check_array, check_scalar
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_koopman._validation import check_magnitude, check_number
@@ -137,7 +137,8 @@ class SeparatedCenterSelector(
         ValueError
             If a parameter is outside its range, or `X` is no finite 2-D array.
         """
-        X = validate_data(self, X, dtype=np.float64)
+        given = X
+        X = check_array(X, dtype=np.float64, estimator=self, input_name="X")
         check_magnitude(X)
         check_number(self.separation, "separation")
         if self.max_centers is not None:
@@ -150,6 +151,8 @@ class SeparatedCenterSelector(
         indices = select[self.order](X, self.separation, self.max_centers)
         centers = X[indices]
         distances, labels = _nearest(X, centers)
+        # Attributes are set last: a fit that fails leaves the selector as it was.
+        validate_data(self, given, skip_check_array=True)
         self.center_indices_ = indices
         self.cluster_centers_ = centers
         self.labels_ = labels

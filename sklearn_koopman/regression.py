@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgWarning
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
-from sklearn.utils import check_array
+from sklearn.utils import check_array, check_X_y
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_koopman import _solvers
@@ -216,8 +216,9 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         LinAlgWarning
             If dependent centres were left out, and that may matter.
         """
-        X, y = validate_data(
-            self, X, y, multi_output=True, y_numeric=True, dtype=np.float64
+        given = X
+        X, y = check_X_y(
+            X, y, multi_output=True, y_numeric=True, dtype=np.float64, estimator=self
         )
         y = np.asarray(y, dtype=np.float64)
         self._check_parameters()
@@ -282,6 +283,8 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 LinAlgWarning,
                 stacklevel=2,
             )
+        # Attributes are set last: a fit that fails leaves the estimator as it was.
+        validate_data(self, given, y, skip_check_array=True)
         self._store(X, y, kernel, rows, nugget, solution)
         return self
 
@@ -488,7 +491,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         noise = amplitude * np.sqrt(self.alpha)
         if self.method == "least_squares" and len(X) > len(kept):
             residual = y.reshape(len(y), -1) - self._evaluate(X)
-            noise = np.linalg.norm(residual, axis=0) / np.sqrt(len(X) - len(kept))
+            noise = _solvers.column_norms(residual) / np.sqrt(len(X) - len(kept))
         self.noise_ = shaped(noise)
 
     def _evaluate(self, X: Array) -> Array:

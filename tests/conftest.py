@@ -1,6 +1,9 @@
 import os
 from pathlib import Path
 
+# Before SciPy is imported: without it scikit-learn skips its array API check.
+os.environ["SCIPY_ARRAY_API"] = "1"
+
 import numpy as np
 import pytest
 

@@ -3,7 +3,7 @@
 import os
 import pickle
 import tracemalloc
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +59,7 @@ LOOPS = {"sequential": sequential_loop, "farthest": farthest_loop}
 
 
 def all_distances(X, Y):
-    return np.array([[np.linalg.norm(x - y) for y in Y] for x in X])
+    return np.stack([distances(X, y) for y in Y], axis=1)
 
 
 def make_data(kind, dimension, n_samples=400):
@@ -77,7 +77,7 @@ def make_data(kind, dimension, n_samples=400):
 
 every_data = pytest.mark.parametrize("kind", ["normal", "uniform", "walk", "pendulum"])
 every_dimension = pytest.mark.parametrize("dimension", [2, 3, 5, 10, 30])
-FRACTIONS = (0.02, 0.1, 0.3, 0.7, 1.2)  # of the median distance
+FRACTIONS = (0.03, 0.3, 0.7, 1.2, 1.5)  # of the median distance
 
 
 # --- selection ----------------------------------------------------------------------
@@ -100,7 +100,7 @@ def test_sequential_is_the_double_loop(kind, dimension):
 @every_dimension
 def test_sequential_is_regular_space_clustering(kind, dimension):
     clustering = pytest.importorskip("deeptime.clustering", reason="the oracle")
-    X = make_data(kind, dimension, 1500)
+    X = make_data(kind, dimension, 800)
     for fraction in FRACTIONS:
         separation = fraction * np.median(distances(X, X.mean(axis=0)))
         oracle = clustering.RegularSpace(dmin=separation, max_centers=len(X) + 1)
@@ -147,7 +147,6 @@ def test_separation_is_strict():
 
 
 def test_pendulum_of_the_paper():
-    assert len(SeparatedCenterSelector(0.23).fit(make_pendulum().X).labels_) == 256
     selector = SeparatedCenterSelector(0.23).fit(make_pendulum().X)
     assert len(selector.center_indices_) == 37
 
@@ -222,12 +221,11 @@ def test_repeated_rows_do_not_change_the_centres(order):
     X = make_data("normal", 2, 80)
     rows = np.sort(np.random.default_rng(0).integers(0, 80, 2000))
     rows[0] = 0
-    separation = 0.4
-    expected = X[LOOPS[order](X[np.unique(rows)], separation)]
     distinct = X[np.unique(rows)]
-    expected = distinct[LOOPS[order](distinct, separation)]
-    selector = SeparatedCenterSelector(separation, order=order).fit(X[rows])
+    expected = distinct[LOOPS[order](distinct, 0.4)]
+    selector = SeparatedCenterSelector(0.4, order=order).fit(X[rows])
     assert_array_equal(selector.cluster_centers_, expected)
+    assert_array_equal(X[rows][selector.center_indices_], expected)
 
 
 # --- farthest first -----------------------------------------------------------------
@@ -244,7 +242,7 @@ def test_farthest_centres_are_nested():
         SeparatedCenterSelector(0, order="farthest", max_centers=m).fit(X)
         for m in range(1, 12)
     ]
-    for before, after in zip(fills[:-1], fills[1:], strict=True):
+    for before, after in pairwise(fills):
         gap = distances(before.cluster_centers_, after.cluster_centers_[-1]).min()
         assert_allclose(gap, before.fill_distance_, rtol=1e-14)
 
@@ -448,7 +446,7 @@ def test_bad_parameters(parameters, message):
         (np.empty((0, 2)), r"0 sample\(s\)"),
         (np.empty((2, 0)), r"0 feature\(s\)"),
         ([["a", "b"]], "'a'"),
-        ([[1j]], "[Cc]omplex"),
+        (np.array([[1j]]), "Complex"),
         ([[1.0], [1e200]], r"^X has values up to 1e\+200.*rescale X"),
         ([[0.0], [-1e-200]], "^X has values up to 1e-200.*rescale X"),
     ],
