@@ -1,10 +1,8 @@
 """Centres against plain loops, brute force and deeptime's regular space clustering."""
 
-import os
 import pickle
 import tracemalloc
 from itertools import combinations, pairwise
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -20,15 +18,6 @@ from sklearn.preprocessing import StandardScaler
 
 from sklearn_koopman import SeparatedCenterSelector
 from sklearn_koopman.datasets import make_pendulum
-from sklearn_koopman.kinematics import leg_angles
-
-DATA = Path(
-    os.environ.get(
-        "SKLEARN_KOOPMAN_DATA",
-        Path(__file__).resolve().parents[1] / ".." / "shared" / "data",
-    )
-)
-WALKING = DATA / "walking_wbds01_T01-T04_left.npz"
 
 every_order = pytest.mark.parametrize("order", ["sequential", "farthest"])
 
@@ -151,11 +140,8 @@ def test_pendulum_of_the_paper():
     assert len(selector.center_indices_) == 37
 
 
-@pytest.mark.skipif(not WALKING.exists(), reason="the walking data are not here")
-def test_walking_is_the_double_loop():
-    with np.load(WALKING) as data:
-        markers = (data[name][:3199] for name in ("hip", "knee", "ankle"))
-        angles, _ = leg_angles(*markers, forward=0, up=1)
+def test_walking_is_the_double_loop(walking):
+    angles = walking[0][0]
     assert len(angles) == 3199
     for order, separation in (("sequential", 0.02), ("farthest", 0.05)):
         selector = SeparatedCenterSelector(separation, order=order).fit(angles)

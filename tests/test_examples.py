@@ -1,0 +1,73 @@
+"""The examples, run as a user runs them."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def run(name, tmp_path, *arguments):
+    """Run an example in an empty folder and return what it printed."""
+    figure = tmp_path / "figure.png"
+    result = subprocess.run(
+        [sys.executable, EXAMPLES / name, "--figure", figure, *arguments],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""  # no warnings, either
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    assert figure.stat().st_size > 20_000
+    return result.stdout
+
+
+def number(pattern, text):
+    return float(re.search(pattern, text)[1])
+
+
+def test_walking_on_the_trial_of_gaitkit(tmp_path):
+    pytest.importorskip("gaitkit", reason="gaitkit carries the recorded trial")
+    out = run("plot_walking.py", tmp_path)
+    persistence = number(r"persistence: +([\d.]+) mm", out)
+    error = number(r"this model: +([\d.]+) mm", out)
+    assert 120 < persistence < 140
+    assert 8 * error < persistence
+
+
+def test_walking_on_a_marker_file(tmp_path):
+    """A synthetic leg in a file of the tab-separated format, in metres."""
+    import numpy as np
+
+    from sklearn_koopman.datasets import make_walking
+
+    trial = make_walking(speeds=[1.2], n_strides=4, rate=100.0, random_state=0)
+    names = {"hip": "hip", "knee": "knee", "ankle": "ankle"}
+    header = ["Time"] + [f"{n}{axis}" for n in names for axis in "XYZ"]
+    positions = np.hstack([trial.markers[0][n] / 1000 for n in names])
+    rows = np.column_stack([np.arange(len(positions)), positions])
+    path = tmp_path / "trial.txt"
+    np.savetxt(
+        path, rows, fmt="%.8g", delimiter="\t", header="\t".join(header), comments=""
+    )
+    out = run(
+        "plot_walking.py",
+        tmp_path,
+        *["--data", path, "--rate", "100", "--unit", "m", "--pieces", "4"],
+        *["--hip", "hip", "--knee", "knee", "--ankle", "ankle"],
+    )
+    persistence = number(r"persistence: +([\d.]+) mm", out)
+    assert 80 < persistence < 200  # in mm, though the file is in metres
+    assert 10 * number(r"this model: +([\d.]+) mm", out) < persistence
+
+
+def test_grid_search(tmp_path):
+    out = run("plot_grid_search.py", tmp_path)
+    assert number(r"two spellings: ([\d.e+-]+)", out) < 1e-10
+    assert number(r"new pendulums: ([\d.]+)", out) < 0.01
+    assert "loaded, predicts the same: True" in out
