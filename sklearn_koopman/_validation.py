@@ -1,7 +1,7 @@
 """Checks of parameters that scikit-learn's public helpers do not cover."""
 
 import math
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -10,17 +10,26 @@ from numpy.typing import NDArray
 
 def check_number(value: Any, name: str, *, positive: bool = False) -> None:
     """Refuse anything but a finite number above (or at) zero, NaN included."""
-    number = float(value) if isinstance(value, Real) else math.nan
+    is_number = isinstance(value, Real) and not isinstance(value, bool)
+    number = float(value) if is_number else math.nan
     if math.isfinite(number) and (number > 0 or (number == 0 and not positive)):
         return
     kind = "positive" if positive else "non-negative"
     raise ValueError(f"{name} must be a finite {kind} number, got {value!r}.")
 
 
-def check_magnitude(X: NDArray[np.float64]) -> None:
+def check_integer(value: Any, name: str, minimum: int) -> None:
+    """Refuse anything but an integer from a minimum on."""
+    is_integer = isinstance(value, Integral) and not isinstance(value, bool)
+    if is_integer and int(value) >= minimum:
+        return
+    raise ValueError(f"{name} must be an integer of at least {minimum}, got {value!r}.")
+
+
+def check_magnitude(X: NDArray[np.float64], smallest: float = 1e-150) -> None:
     """Refuse states whose squared distances leave the range of a double."""
     largest = np.abs(X).max()
-    if largest > 1e150 or 0 < largest < 1e-150:
+    if largest > 1e150 or 0 < largest < smallest:
         raise ValueError(
             f"X has values up to {largest:.3g}, whose squared distances double "
             "precision cannot hold; rescale X, by StandardScaler for example."

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -16,10 +15,10 @@ from sklearn.base import (
     ClusterMixin,
     TransformerMixin,
 )
-from sklearn.utils import check_array, check_scalar
+from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman._validation import check_magnitude, check_number
+from sklearn_koopman._validation import check_integer, check_magnitude, check_number
 
 __all__ = ["SeparatedCenterSelector", "farthest_centers", "sequential_centers"]
 
@@ -65,7 +64,7 @@ class SeparatedCenterSelector(
     cluster_centers_ : ndarray of shape (n_centers, n_features)
         The centres.
     labels_ : ndarray of shape (n_samples,)
-        The nearest centre of each sample.
+        The nearest centre of each sample, or one of them.
     separation_distance_ : float
         Half the smallest distance between two centres; infinite for one centre.
     fill_distance_ : float
@@ -142,22 +141,23 @@ class SeparatedCenterSelector(
         check_magnitude(X)
         check_number(self.separation, "separation")
         if self.max_centers is not None:
-            check_scalar(self.max_centers, "max_centers", Integral, min_val=1)
-        select = {"sequential": sequential_centers, "farthest": farthest_centers}
-        if self.order not in select:
+            check_integer(self.max_centers, "max_centers", 1)
+        if self.order not in ("sequential", "farthest"):
             raise ValueError(
                 f"order must be 'sequential' or 'farthest', got {self.order!r}."
             )
-        indices = select[self.order](X, self.separation, self.max_centers)
+        sequential = self.order == "sequential"
+        select = sequential_centers if sequential else farthest_centers
+        indices = select(X, self.separation, self.max_centers)
         centers = X[indices]
-        distances, labels = _nearest(X, centers)
+        labels = _nearest(X, centers)
         # Attributes are set last: a fit that fails leaves the selector as it was.
         validate_data(self, given, skip_check_array=True)
         self.center_indices_ = indices
         self.cluster_centers_ = centers
         self.labels_ = labels
         self.separation_distance_ = _smallest_distance(centers) / 2
-        self.fill_distance_ = float(distances.max())
+        self.fill_distance_ = float(_distances(X, centers[labels]).max())
         return self
 
     def transform(self, X: Any) -> Array:
@@ -175,6 +175,7 @@ class SeparatedCenterSelector(
         """
         check_is_fitted(self)
         X = validate_data(self, X, reset=False, dtype=np.float64)
+        check_magnitude(X, smallest=0)
         return cdist(X, self.cluster_centers_)
 
     def predict(self, X: Any) -> Indices:
@@ -192,7 +193,8 @@ class SeparatedCenterSelector(
         """
         check_is_fitted(self)
         X = validate_data(self, X, reset=False, dtype=np.float64)
-        return _nearest(X, self.cluster_centers_)[1]
+        check_magnitude(X, smallest=0)
+        return _nearest(X, self.cluster_centers_)
 
     @property
     def _n_features_out(self) -> int:
@@ -302,10 +304,10 @@ def _ball(tree: KDTree, x: Array, radius: float) -> tuple[Indices, Array]:
     return near, _distances(tree.data[near], x)
 
 
-def _nearest(X: Array, centers: Array) -> tuple[Array, Indices]:
-    """Return each sample's distance to its nearest centre, and which one that is."""
-    distances, labels = KDTree(centers).query(X)
-    return np.asarray(distances), np.asarray(labels, dtype=np.intp)
+def _nearest(X: Array, centers: Array) -> Indices:
+    """Return which centre is nearest to each sample."""
+    _, labels = KDTree(centers).query(X)
+    return np.asarray(labels, dtype=np.intp)
 
 
 def _distances(X: Array, x: Array) -> Array:
@@ -317,5 +319,5 @@ def _distances(X: Array, x: Array) -> Array:
 def _smallest_distance(X: Array) -> float:
     if len(X) < 2:
         return np.inf
-    distances, _ = KDTree(X).query(X, k=2)
-    return float(np.asarray(distances)[:, 1].min())
+    _, neighbors = KDTree(X).query(X, k=2)
+    return float(_distances(X, X[np.asarray(neighbors)[:, 1]]).min())

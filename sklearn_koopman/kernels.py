@@ -18,7 +18,7 @@ from sklearn.gaussian_process.kernels import (
     StationaryKernelMixin,
 )
 
-from sklearn_koopman._validation import check_number
+from sklearn_koopman._validation import check_integer, check_number
 
 __all__ = [
     "KERNELS",
@@ -253,6 +253,7 @@ class MaternSobolev(RadialKernel):
         return z * _horner(difference, z) * np.exp(-z)
 
     def sobolev_order(self, n_features: int) -> float:
+        self._polynomials()
         return self.nu + n_features / 2
 
     def _polynomials(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -367,6 +368,7 @@ class Wendland(RadialKernel):
         """Return the exponent l + k and the coefficients of q."""
         k, coefficients = _lookup(self._POLYNOMIALS, self.smoothness, "smoothness")
         dimension = n_features if self.dimension is None else self.dimension
+        check_integer(dimension, "dimension", 1)
         if dimension < n_features:
             raise ValueError(
                 f"Wendland(dimension={dimension}) is not positive definite on "
@@ -503,10 +505,11 @@ def as_kernel(kernel: Any, beta: float | None, n_features: int | None) -> Kernel
         )
     if beta is not None:
         if not isinstance(kernel, RadialKernel):
+            names = ", ".join(f"kernel__{h.name}" for h in kernel.hyperparameters)
             raise ValueError(
                 f"beta={beta!r} scales the kernels of sklearn_koopman only; with "
-                f"kernel={kernel!r} set beta=None and tune the kernel's own "
-                "parameters, such as kernel__length_scale."
+                f"kernel={kernel!r} set beta=None and tune the parameters of the "
+                f"kernel itself: {names}."
             )
         kernel.beta = beta
     for part in (kernel, *kernel.get_params().values()):

@@ -1,13 +1,14 @@
 """Pairing of samples along trajectories, and cross-validation that respects them."""
 
 from collections.abc import Iterator, Sequence
-from numbers import Integral
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.model_selection import BaseCrossValidator, GroupKFold
-from sklearn.utils import Bunch, check_array, check_scalar, indexable
+from sklearn.utils import Bunch, check_array, indexable
+
+from sklearn_koopman._validation import check_integer
 
 __all__ = ["TrajectoryKFold", "trajectory_pairs"]
 
@@ -106,7 +107,7 @@ of them, default=None
     array([0, 0, 0, 1, 1])
     """
     for name, value in (("lag", lag), ("delays", delays), ("delay_step", delay_step)):
-        check_scalar(value, name, Integral, min_val=1)
+        check_integer(value, name, 1)
     if outputs is None and outputs_in_state:
         raise ValueError(
             "outputs_in_state=True needs outputs; pass the measured outputs, or use "
@@ -157,6 +158,8 @@ of them, default=None
 
 def _as_trajectories(data: Any, name: str) -> list[NDArray[np.float64]]:
     """Validate one trajectory or a list of them into a list of float arrays."""
+    if isinstance(data, np.ndarray) and data.dtype == object and data.ndim == 1:
+        data = list(data)  # of arrays of unequal length
     if getattr(data, "ndim", 3) < 3:
         data = [data]
     elif not hasattr(data, "__len__") or isinstance(data, str | bytes | dict):
@@ -181,7 +184,8 @@ def _as_trajectories(data: Any, name: str) -> list[NDArray[np.float64]]:
         if array.ndim != 2 and not (array.ndim == 1 and name == "outputs"):
             raise ValueError(
                 f"{label} has shape {array.shape}; expected (n_samples, n_features). "
-                "Reshape a scalar series with .reshape(-1, 1)."
+                "Pass one trajectory as a two-dimensional array, several as a list of "
+                "them, and reshape a scalar series with .reshape(-1, 1)."
             )
         gaps = np.flatnonzero(np.isnan(array).reshape(len(array), -1).any(axis=1))
         if len(gaps):
@@ -194,6 +198,14 @@ def _as_trajectories(data: Any, name: str) -> list[NDArray[np.float64]]:
             raise ValueError(
                 f"{label} has shape {array.shape} but {name}[0] has "
                 f"{arrays[0].shape}; all must have the same columns."
+            )
+        columns = getattr(item, "columns", None)
+        if columns is not None and list(columns) != list(
+            getattr(data[0], "columns", columns)
+        ):
+            raise ValueError(
+                f"{label} has columns {list(columns)} but {name}[0] has "
+                f"{list(data[0].columns)}; bring them into one order."
             )
         arrays.append(array)
     return arrays
@@ -318,6 +330,7 @@ class TrajectoryKFold(BaseCrossValidator):
         n_splits : int
             The number of folds.
         """
+        self._check_parameters()
         return self.n_splits
 
     def _iter_test_indices(
@@ -343,5 +356,5 @@ class TrajectoryKFold(BaseCrossValidator):
 
     def _check_parameters(self) -> None:
         # Checked when splitting, so that the constructor only stores.
-        check_scalar(self.n_splits, "n_splits", Integral, min_val=2)
-        check_scalar(self.gap, "gap", Integral, min_val=0)
+        check_integer(self.n_splits, "n_splits", 2)
+        check_integer(self.gap, "gap", 0)

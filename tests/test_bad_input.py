@@ -12,6 +12,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_koopman import KoopmanKernelRegressor, SeparatedCenterSelector
+from sklearn_koopman.kernels import Wendland
 
 RNG = np.random.default_rng(0)
 X = RNG.standard_normal((30, 2))
@@ -38,9 +39,22 @@ REFUSED = {
         {"kernel": RBF() + RBF(), "beta": 3.0},
         X,
         Y,
-        ["beta=3.0", "RBF(length_scale=1) + RBF(length_scale=1)", "beta=None"],
+        ["beta=3.0", "RBF(length_scale=1) + RBF(", "beta=None", "k2__length_scale"],
     ),
     "alpha negative": ({"alpha": -1e-3}, X, Y, ["alpha", "non-negative", "-0.001"]),
+    "alpha true": ({"alpha": True}, X, Y, ["alpha", "number", "got True"]),
+    "Wendland in too many dimensions": (
+        {"kernel": Wendland(dimension=1)},
+        X,
+        Y,
+        ["dimension=1", "2 features", "at least 2"],
+    ),
+    "Wendland in no dimension": (
+        {"kernel": Wendland(dimension=2.5)},
+        X,
+        Y,
+        ["dimension", "integer", "got 2.5"],
+    ),
     "alpha nan": ({"alpha": np.nan}, X, Y, ["alpha", "finite", "got nan"]),
     "alpha of a list": ({"alpha": [1.0]}, X, Y, ["alpha", "number", "got [1.0]"]),
     "kernel unknown": (

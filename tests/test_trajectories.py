@@ -228,10 +228,10 @@ GOOD = np.arange(12.0).reshape(6, 2)
         (iter([GOOD]), None, {}, "trajectories must be .*iterator"),
         ([np.array([["a"], ["b"]])], None, {}, r"trajectories\[0\].*'a'"),
         (GOOD, None, {"outputs_in_state": True}, "outputs_in_state=True needs outputs"),
-        (GOOD, None, {"lag": 0}, "lag == 0"),
-        (GOOD, None, {"lag": -2}, "lag == -2"),
-        (GOOD, None, {"delays": 0}, "delays == 0"),
-        (GOOD, None, {"delay_step": 0}, "delay_step == 0"),
+        (GOOD, None, {"lag": 0}, "lag must be .* got 0"),
+        (GOOD, None, {"lag": -2}, "lag must be .* got -2"),
+        (GOOD, None, {"delays": 0}, "delays must be .* got 0"),
+        (GOOD, None, {"delay_step": 0}, "delay_step must be .* got 0"),
     ],
 )
 def test_bad_trajectories(trajectories, outputs, options, message):
@@ -349,9 +349,9 @@ def test_only_the_number_of_rows_counts(as_array):
 @pytest.mark.parametrize(
     ("n_splits", "gap", "n_samples", "groups", "message"),
     [
-        (1, 0, 12, None, "n_splits == 1, must be >= 2"),
-        (0, 0, 12, None, "n_splits == 0, must be >= 2"),
-        (3, -1, 12, None, "gap == -1, must be >= 0"),
+        (1, 0, 12, None, "n_splits must be .* got 1"),
+        (0, 0, 12, None, "n_splits must be .* got 0"),
+        (3, -1, 12, None, "gap must be .* got -1"),
         (3, 4, 12, None, "^gap=4 leaves no training rows .*4 of 12"),
         (2, 6, 12, None, "^gap=6 leaves no training rows .*6 of 12"),
         (13, 0, 12, None, "^n_splits=13 .*got 12"),
@@ -452,3 +452,17 @@ def test_grid_search_leaves_trajectories_out(regression, routing):
     ]
     assert_allclose(search.cv_results_["mean_test_score"], expected, rtol=1e-12)
     assert search.best_params_["n_neighbors"] == [1, 4, 12][np.argmax(expected)]
+
+
+def test_object_array_of_trajectories_is_a_list():
+    ragged = np.empty(2, dtype=object)
+    ragged[:] = [np.arange(8.0).reshape(4, 2), np.arange(6.0).reshape(3, 2)]
+    pairs = trajectory_pairs(ragged)
+    assert_array_equal(pairs.X, trajectory_pairs(list(ragged)).X)
+
+
+def test_frames_with_columns_in_another_order_are_refused():
+    pd = pytest.importorskip("pandas", reason="frames are pandas'")
+    first = pd.DataFrame({"hip": [0.0, 1, 2], "knee": [10.0, 11, 12]})
+    with pytest.raises(ValueError, match=r"trajectories\[1\] has columns.*one order"):
+        trajectory_pairs([first, first[["knee", "hip"]]])

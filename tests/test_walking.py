@@ -82,7 +82,7 @@ def test_outputs_in_the_state_beat_constant_velocity(walking):
     angles, ankles = walking
     pairs = trajectory_pairs(angles, ankles, outputs_in_state=True, **DELAYED)
     now, before = past(ankles, 1)
-    model = koopman("matern32", 4.0, 1e-2, 0.3, method="least_squares", trend="linear")
+    model = koopman("matern32", 4.0, 1e-2, 0.2, method="least_squares", trend="linear")
     assert left_out(model, pairs) < 0.95 * rms(2 * now - before - pairs.y)
 
 
