@@ -109,6 +109,9 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", help="archive with hip, knee, ankle (mm) and trial")
     parser.add_argument("--quick", action="store_true", help="without KernelRidge")
+    parser.add_argument(
+        "--lags", type=int, nargs="+", default=[1, 15], help="samples ahead"
+    )
     options = parser.parse_args()
     data = np.load(options.data)
     angles, ankles = [], []
@@ -122,7 +125,7 @@ def main():
     # Dropped centres are part of the search here, not news.
     warnings.simplefilter("ignore", LinAlgWarning)
     reach = (DELAYS - 1) * STEP
-    for lag in (1, 15):
+    for lag in options.lags:
         future = np.vstack([y[reach + lag :] for y in ankles])
         now = np.vstack([y[reach:-lag] for y in ankles])
         before = np.vstack([y[reach - 1 : -lag - 1] for y in ankles])

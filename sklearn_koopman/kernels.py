@@ -111,7 +111,8 @@ class RadialKernel(
 
         The Fourier transform of the kernel in R^d decays like
         ``(1 + |w|^2) ** -tau``. Restricted to a manifold of dimension m in R^d, the
-        order is ``tau - (d - m) / 2`` (Theorem 6 of the paper).
+        order is ``tau - (d - m) / 2`` (the paper's theorem on restrictions, from
+        Fuselier and Wright).
 
         Parameters
         ----------

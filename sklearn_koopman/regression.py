@@ -125,16 +125,17 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     Notes
     -----
     With K = k(Xi, Xi) and u the outputs of the centres, interpolation has the
-    coefficients c = (K + alpha I)^-1 u: the projection of U_f G onto the span of the
-    sections, which is the estimate of [1]_, Equation (UMf_coord), in its simplest
-    form. The interpolant of the pairs (f(xi_i), u_i), whose coefficients Algorithm 1
-    there prints, takes the same values u_i one step earlier, so that the projection
-    of its composition with f is this estimate. Least squares minimises
+    coefficients c = (K + alpha I)^-1 u. For alpha = 0 this is the projection of U_f G
+    onto the span of the sections ([1]_, Section 3.4). Algorithm 1 there prints the
+    coefficients of the interpolant h of the pairs (f(xi_i), u_i), an estimate of G;
+    h(f(x)) has the same values u_i at the centres, so that its projection is this
+    estimate as well. Least squares minimises
 
     .. math:: \\sum_i |y_i - g(x_i)|^2 + \\alpha \\|g\\|_H^2
 
-    over the same span: the empirical risk minimiser, which is EDMD with the sections
-    as its dictionary (Theorem 4 there). It is solved in a basis orthonormal in H.
+    over the same span: the empirical risk minimiser, which is what EDMD with the
+    sections as its dictionary predicts ([1]_, end of Section 3.4). It is solved in a
+    basis that is orthonormal in H.
 
     With a tail p(x) b the coefficients satisfy P(Xi)^T c = 0, as usual for
     conditionally positive definite kernels; equal rows count as one centre with their
