@@ -19,15 +19,15 @@ import numpy as np
 from joblib import effective_n_jobs
 from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm, dnrm2
-from scipy.linalg.lapack import dpocon, dpotrf, dpotrs, dpstrf, dtrtrs
+from scipy.linalg.lapack import dpocon, dpotrf, dpotri, dpotrs, dpstrf, dtrtrs
 from sklearn.utils import gen_batches
 from sklearn.utils.parallel import Parallel, delayed
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-# Loops over blocks use SciPy's BLAS throughout: NumPy's wheels bring one of their own,
-# and the idle threads of either slow down the other several times.
+# The loop of least squares stays with SciPy's BLAS: NumPy's wheels bring one of their
+# own, and the idle threads of either slow down the other several times.
 
 # Entries of a tile of a kernel matrix: half a megabyte, so that the few arrays that
 # evaluating a kernel takes stay in the cache.
@@ -38,6 +38,10 @@ SUSPECT = 1e-10
 # coefficients of alternating sign cost smooth kernels this much without harm, while
 # leaving out more centres would cost them more.
 ACCURACY = 1e-6
+
+
+class UnsuitableKernelError(ValueError):
+    """The kernel has no Gram matrix that an estimate could be made with."""
 
 
 class Sections(Protocol):
@@ -91,53 +95,59 @@ class DistanceSections:
 
 @dataclass(frozen=True)
 class Tail:
-    """Polynomials of degree 0 or 1 that are orthonormal on the centres.
+    """Polynomials of degree 0 or 1, sorted by what the centres tell of them.
 
-    Their number q is the rank of the polynomials there: smaller than the number of
-    monomials where a feature is constant or the centres are few.
+    As coefficients of the monomials, which are 1, and x - origin for degree 1: `seen`
+    holds q polynomials that are orthonormal on the centres, `unseen` those that vanish
+    there, as some do where the centres are few or a feature is constant on them.
     """
 
     origin: Array
-    transform: Array  # (1 + n_features, q), from the monomials 1 and x - origin
+    seen: Array  # (n_terms, q)
+    unseen: Array  # (n_terms, n_terms - q)
 
     @classmethod
-    def on(cls, centers: Array, degree: int) -> Tail:
+    def on(cls, centers: Array, degree: int, rows: Array) -> Tail:
         n_centers, n_features = centers.shape
         if degree == 0:
-            transform = np.zeros((1 + n_features, 1))
-            transform[0] = 1 / np.sqrt(n_centers)
-            return cls(np.zeros(n_features), transform)
+            seen = np.full((1, 1), 1 / np.sqrt(n_centers))
+            return cls(np.zeros(n_features), seen, np.empty((1, 0)))
         origin = centers.mean(axis=0)
-        scale = np.abs(centers - origin).max(axis=0)
+        scale = np.abs(rows - origin).max(axis=0)
         # What rounding leaves of a constant feature is no direction to extrapolate in.
-        constant = scale <= 1e-13 * np.abs(origin)
-        inverse = np.divide(1.0, scale, out=np.zeros(n_features), where=~constant)
+        varies = scale > 1e-13 * np.abs(origin)
+        inverse = np.divide(1.0, scale, out=np.zeros(n_features), where=varies)
         monomials = np.hstack([np.ones((n_centers, 1)), (centers - origin) * inverse])
-        _, singular, directions = np.linalg.svd(monomials, full_matrices=False)
+        _, singular, directions = np.linalg.svd(monomials)
         rank = int((singular > 1e-10 * singular[0]).sum())
-        transform = directions[:rank].T / singular[:rank]
-        transform[1:] *= inverse[:, np.newaxis]
-        return cls(origin, transform)
+        coefficients = np.vstack(
+            [directions.T[:1], directions.T[1:] * inverse[:, None]]
+        )
+        return cls(
+            origin, coefficients[:, :rank] / singular[:rank], coefficients[:, rank:]
+        )
 
-    def __call__(self, X: Array) -> Array:
-        """Evaluate the polynomials: (rows, q)."""
-        if not self.transform[1:].any():
-            return np.tile(self.transform[0], (len(X), 1))
-        return self.transform[0] + (X - self.origin) @ self.transform[1:]
+
+def polynomial(X: Array, origin: Array, coefficients: Array) -> Array:
+    """Evaluate polynomials given by their coefficients of 1 and x - origin."""
+    if len(coefficients) == 1:
+        return np.repeat(coefficients, len(X), axis=0)
+    return coefficients[0] + (X - origin) @ coefficients[1:]
 
 
 @dataclass(frozen=True)
 class NativeBasis:
-    """Orthonormal basis of H_M, or of H_M with a polynomial tail.
+    """Orthonormal basis of H_M, with or without a polynomial tail.
 
-    With the polynomials P and L^-1 P(Xi) = Q R, coordinates w split into the
-    polynomial R^-1 Q^T w and the part orthogonal to Q, which belongs to the kernel
-    sections and alone counts in the native seminorm. The coefficients of the sections
-    are then orthogonal to the polynomials on the centres.
+    With the polynomials p that the centres see, and L^-1 P(Xi) = Q R, an estimate is
+    a(x)^T z + t(x)^T b with t(x) = R^-T p(x) and z orthogonal to Q: then the
+    coefficients L^-T z of the sections are orthogonal to the polynomials on the
+    centres, and |z| is the native seminorm.
     """
 
     sections: Sections
     lower: Array  # in Fortran order; its strict upper triangle has no meaning
+    excess: Array  # what the diagonal of the matrix has over that of the sections
     rcond: float
     tail: Tail | None
     Q: Array  # (M, q), with q = 0 where there is no tail
@@ -148,80 +158,49 @@ class NativeBasis:
         cls, sections: Sections, points: Array, nugget: Array, tail: Tail | None
     ) -> NativeBasis:
         """Factor the Gram matrix at the centres plus a diagonal `nugget`."""
-        K, norm = gram_matrix(sections, points, nugget)
+        K, excess, norm = gram_matrix(sections, points, nugget)
         lower, info = dpotrf(K, lower=1, clean=0, overwrite_a=1)
         if info != 0:
             raise np.linalg.LinAlgError("the Gram matrix is not positive definite")
         rcond = float(dpocon(lower, norm, uplo="L")[0])
-        P = np.empty((len(points), 0)) if tail is None else tail(points)
-        Z: Array = _solve_triangular(lower, P) if tail else P
-        Q, R = np.linalg.qr(Z)
-        return cls(sections, lower, rcond, tail, Q, R)
+        P = np.empty((len(points), 0))
+        if tail is not None:
+            P = polynomial(points, tail.origin, tail.seen)
+            P = _solve_triangular(lower, P)
+        Q, R = np.linalg.qr(P)
+        return cls(sections, lower, excess, rcond, tail, Q, R)
 
-    def components(self, X: Array) -> tuple[Array, Array]:
-        """Return a(x) and R^-T p(x) - Q^T a(x): (M, rows) and (q, rows)."""
-        a = _solve_triangular(
-            self.lower, matrix(self.sections, X, len(self.lower)).T, overwrite=True
-        )
+    def values(self, X: Array) -> tuple[Array, Array]:
+        """Evaluate a(x), of shape (M, rows), and t(x), of shape (q, rows)."""
+        K = matrix(self.sections, X, len(self.lower))
+        a = _solve_triangular(self.lower, K.T, overwrite=True)
         if self.tail is None:
             return a, np.empty((0, len(X)))
-        p = np.linalg.solve(self.R.T, self.tail(X).T)
-        return a, np.subtract(p, dgemm(1.0, self.Q, a, trans_a=1), dtype=np.float64)
-
-    def features(self, X: Array) -> Array:
-        """Evaluate the basis functions: (M, rows)."""
-        a, excess = self.components(X)
-        return dgemm(1.0, self.Q, excess, 1.0, a, overwrite_c=1) if self.tail else a
+        p = polynomial(X, self.tail.origin, self.tail.seen)
+        return a, np.asarray(np.linalg.solve(self.R.T, p.T), dtype=np.float64)
 
     def variance(self, X: Array) -> Array:
         """Evaluate the squared power function."""
-        a, excess = self.components(X)
-        explained = np.einsum("ij,ij->j", a, a) - np.einsum("ij,ij->j", excess, excess)
-        return np.maximum(self.sections.diagonal(X) - explained, 0.0)
+        a, t = self.values(X)
+        variance = self.sections.diagonal(X) - np.einsum("ij,ij->j", a, a)
+        if self.tail is not None:
+            t -= dgemm(1.0, self.Q, a, trans_a=1)
+            variance += np.einsum("ij,ij->j", t, t)
+        return np.maximum(variance, 0.0)
 
-    def seminorm_part(self, w: Array) -> Array:
-        """Project coordinates onto the part that belongs to the kernel sections."""
-        return w - self.Q @ (self.Q.T @ w)
+    def coefficients(self, z: Array, b: Array) -> tuple[Array, Array]:
+        """Turn coordinates into coefficients of the sections and of the monomials.
 
-    def coefficients(self, w: Array) -> tuple[Array, Array]:
-        """Turn coordinates into coefficients of the sections and of the tail."""
-        dual = _solve_triangular(self.lower, self.seminorm_part(w), transpose=True)
-        trend = np.linalg.solve(self.R, self.Q.T @ w)
-        return dual, trend.astype(np.float64, copy=False)
-
-    def least_squares(self, X: Array, y: Array, alpha: float) -> Array:
-        """Return the coordinates that minimise |y - g(X)|^2 + alpha |g|_H^2.
-
-        The normal matrix is accumulated and factored in the triangle that the
-        Cholesky factor leaves unused: memory stays at one M x M matrix.
+        Entries of b beyond q belong to the polynomials that the centres do not see.
         """
-        F, M = self.lower, len(self.lower)
-        panels = list(gen_batches(M, max(64, M // 32)))
-        corners = [np.zeros((panel.stop - panel.start,) * 2) for panel in panels]
-        target = np.zeros((M, y.shape[1]))
-        for panel in panels:
-            F[: panel.start, panel] = 0.0
-        for rows in gen_batches(len(X), max(128, M // 16)):
-            a = self.features(X[rows])
-            target += dgemm(1.0, a, y[rows])
-            for panel, corner in zip(panels, corners, strict=True):
-                product = dgemm(1.0, a[: panel.stop], a[panel], trans_b=1)
-                F[: panel.start, panel] += product[: panel.start]
-                corner += product[panel.start :]
-        diagonal = F.diagonal().copy()
-        for panel, corner in zip(panels, corners, strict=True):
-            # alpha (I - Q Q^T): the polynomial part goes unpenalised.
-            product = self.Q[: panel.stop] @ self.Q[panel].T
-            F[: panel.start, panel] -= alpha * product[: panel.start]
-            corner -= alpha * product[panel.start :]
-            corner[np.diag_indices_from(corner)] += alpha
-            F[panel, panel] = np.triu(corner) + np.tril(F[panel, panel], -1)
-        _, info = dpotrf(F, lower=0, clean=0, overwrite_a=1)
-        if info != 0:
-            raise np.linalg.LinAlgError("the samples do not determine the estimate")
-        w, _ = dpotrs(F, target, lower=0)
-        np.fill_diagonal(F, diagonal)
-        return w
+        dual = _solve_triangular(self.lower, z, transpose=True)
+        if not np.isfinite(dual).all():
+            raise np.linalg.LinAlgError("the coefficients are not finite")
+        if self.tail is None:
+            return dual, np.empty((0, z.shape[1]))
+        q = len(self.R)
+        trend = self.tail.seen @ np.linalg.solve(self.R, b[:q])
+        return dual, trend + self.tail.unseen[:, : len(b) - q] @ b[q:]
 
 
 @dataclass(frozen=True)
@@ -231,21 +210,31 @@ class Solution:
     basis: NativeBasis
     kept: Indices  # which of the centres offered carry the estimate
     dual: Array  # (M, n_outputs)
-    trend: Array  # (q, n_outputs)
+    trend: Array  # (n_terms, n_outputs), of the monomials of the tail
     seminorm: Array  # (n_outputs,): native norm of the estimate, trend not counted
+    freedom: float  # effective number of parameters
     error: float  # how far it is from the values it should have, where that is suspect
 
 
 Rule = Callable[[NativeBasis, Indices], Solution]
 
 
-def interpolation(points: Array, u: Array, nugget: Array) -> Rule:
-    """Rule that interpolates u at the centres; with a nugget N, meets u - N c there."""
+def interpolation(points: Array, u: Array) -> Rule:
+    """Rule that interpolates u at the centres; meets u - E c with an excess E."""
 
     def solve(basis: NativeBasis, kept: Indices) -> Solution:
-        w = _solve_triangular(basis.lower, u[kept])
-        rows, extra = points[kept], nugget[kept, np.newaxis]
-        return _verified(basis, kept, w, rows, lambda dual: u[kept] - extra * dual)
+        v = _solve_triangular(basis.lower, u[kept])
+        b = basis.Q.T @ v
+        z = v - basis.Q @ b
+        dual, trend = basis.coefficients(z, b)
+        error = 0.0
+        if basis.rcond < SUSPECT:
+            reached = _evaluated(basis, points[kept], dual, trend)
+            reached += basis.excess[:, np.newaxis] * dual
+            error = _relative_error(reached, u[kept])
+        return Solution(
+            basis, kept, dual, trend, column_norms(z), len(basis.lower), error
+        )
 
     return solve
 
@@ -254,11 +243,114 @@ def regression(X: Array, y: Array, alpha: float) -> Rule:
     """Rule that fits y on all rows of X by least squares."""
 
     def solve(basis: NativeBasis, kept: Indices) -> Solution:
-        w = basis.least_squares(X, y, alpha)
-        rows = X[:: max(len(X) // 64, 1)]
-        return _verified(basis, kept, w, rows, lambda _: basis.features(rows).T @ w)
+        z, b, freedom = least_squares(basis, X, y, alpha)
+        dual, trend = basis.coefficients(z, b)
+        error = 0.0
+        if basis.rcond < SUSPECT:
+            rows = X[:: max(len(X) // 64, 1)]
+            a, t = _design(basis, rows)
+            reached = _evaluated(basis, rows, dual, trend)
+            error = _relative_error(reached, a.T @ z + t.T @ b)
+        return Solution(basis, kept, dual, trend, column_norms(z), freedom, error)
 
     return solve
+
+
+def least_squares(
+    basis: NativeBasis, X: Array, y: Array, alpha: float
+) -> tuple[Array, Array, float]:
+    """Minimise |y - g(X)|^2 + alpha |g|_H^2 over the functions of the basis.
+
+    With the values A of a(x), less their part along Q, and T of all polynomials on
+    the rows, the normal equations are
+
+        [A A^T + alpha I   A T^T] [z]   [A y]
+        [    T A^T         T T^T] [b] = [T y]
+
+    of which z is eliminated. A A^T is accumulated and factored in the triangle that
+    the Cholesky factor of the basis leaves unused: memory stays at one M x M matrix.
+
+    Returns
+    -------
+    z : ndarray of shape (M, n_outputs)
+        Coordinates of the kernel part.
+    b : ndarray of shape (n_terms, n_outputs)
+        Coordinates of the polynomials: those the centres see, then the others.
+    freedom : float
+        Trace of the matrix that takes y to the fitted values.
+    """
+    F, M, q = basis.lower, len(basis.lower), basis.Q.shape[1]
+    factor_diagonal = F.diagonal().copy()
+    panels = list(gen_batches(M, max(64, M // 32)))
+    corners = [np.zeros((panel.stop - panel.start,) * 2) for panel in panels]
+    for panel in panels:
+        F[: panel.start, panel] = 0.0
+    n_terms = 0 if basis.tail is None else len(basis.tail.seen)
+    Ay, AT = np.zeros((M, y.shape[1])), np.zeros((M, n_terms))
+    Ty, TT = np.zeros((n_terms, y.shape[1])), np.zeros((n_terms, n_terms))
+    for rows in gen_batches(len(X), _block_rows(M)):
+        a, t = _design(basis, X[rows])
+        Ay += dgemm(1.0, a, y[rows])
+        if n_terms:
+            AT += dgemm(1.0, a, t, trans_b=1)
+            Ty += dgemm(1.0, t, y[rows])
+            TT += dgemm(1.0, t, t, trans_b=1)
+        for panel, corner in zip(panels, corners, strict=True):
+            product = dgemm(1.0, a[: panel.stop], a[panel], trans_b=1)
+            F[: panel.start, panel] += product[: panel.start]
+            corner += product[panel.start :]
+    trace = sum(float(np.trace(corner)) for corner in corners)
+    # Along Q there is nothing: any number makes that part of the matrix regular.
+    along_Q = 0.0 if alpha > 0 else trace / M or 1.0
+    for panel, corner in zip(panels, corners, strict=True):
+        if q and along_Q:
+            product = along_Q * basis.Q[: panel.stop] @ basis.Q[panel].T
+            F[: panel.start, panel] += product[: panel.start]
+            corner += product[panel.start :]
+        corner[np.diag_indices_from(corner)] += alpha
+        F[panel, panel] = np.triu(corner) + np.tril(F[panel, panel], -1)
+
+    _, info = dpotrf(F, lower=0, clean=0, overwrite_a=1)
+    rcond = 0.0 if info else float(dpocon(F, trace + M * alpha, uplo="U")[0])
+    if info or rcond < min(1e-13, 1e-6 * basis.rcond):
+        if basis.rcond < SUSPECT:
+            raise np.linalg.LinAlgError("the normal matrix is not positive definite")
+        raise ValueError(
+            f"method='least_squares' with alpha={alpha}: the rows of X do not "
+            f"determine the coefficients of {M} centres; set alpha > 0, or choose "
+            "fewer centres, nearer to the rows."
+        )
+    solved, _ = dpotrs(F, np.hstack([AT, Ay]), lower=0)
+    N_AT, N_Ay = solved[:, :n_terms], solved[:, n_terms:]
+    # In units in which every polynomial has length one on the rows. Those that the
+    # rows do not tell from the kernel part, or at all, are left at zero.
+    length = np.sqrt(TT.diagonal())
+    unit = np.divide(1.0, length, out=np.zeros(n_terms), where=length > 0)
+    size, axes = np.linalg.eigh(unit[:, np.newaxis] * (TT - AT.T @ N_AT) * unit)
+    told = size > 1e-14
+    axes = unit[:, np.newaxis] * axes[:, told]
+    inverse = axes / size[told] @ axes.T
+    b = inverse @ (Ty - AT.T @ N_Ay)
+    z = N_Ay - N_AT @ b
+    z -= basis.Q @ (basis.Q.T @ z)
+
+    freedom = float(told.sum() + M - q)
+    if alpha > 0:
+        dpotri(F, lower=0, overwrite_c=1)
+        shrunk = F.diagonal().sum() - q / alpha + np.sum(inverse * (N_AT.T @ N_AT))
+        freedom -= alpha * float(shrunk)
+    np.fill_diagonal(F, factor_diagonal)
+    return z, b, freedom
+
+
+def _design(basis: NativeBasis, X: Array) -> tuple[Array, Array]:
+    """Return a(x) less its part along Q, and the values of all polynomials."""
+    a, t = basis.values(X)
+    if basis.tail is None:
+        return a, t
+    along = dgemm(1.0, basis.Q, a, trans_a=1)
+    a = dgemm(-1.0, basis.Q, along, 1.0, a, overwrite_c=1)
+    return a, np.vstack([t, polynomial(X, basis.tail.origin, basis.tail.unseen).T])
 
 
 def solve(
@@ -267,27 +359,31 @@ def solve(
     nugget: Array,
     rule: Rule,
     degree: int | None,
+    rows: Array,
     *,
     drop_dependent: bool,
 ) -> tuple[Solution, float]:
     """Apply a rule in the native basis of the centres.
 
-    Where the Gram matrix is not positive definite, or the solution misses the values
-    that it should have, centres whose sections the others reproduce are left out:
-    `kept` tells which ones are not. The second value returned is the square of the
-    power function, relative to the kernel, at which a section counts as reproduced. It
-    is raised until that suffices, and 0 if no centre had to go.
+    `rows` tell which features vary, for the tail. Where the Gram matrix is not
+    positive definite, or the solution misses the values that it should have, centres
+    whose sections the others reproduce are left out: `kept` tells which ones are not.
+    The second value returned is the square of the power function, relative to the
+    kernel, at which a section counts as reproduced. It is raised until that suffices,
+    and 0 if no centre had to go.
 
     Raises
     ------
     LinAlgError
         If no solution is found, or none without dropping and `drop_dependent` is off.
+    UnsuitableKernelError
+        If dropping centres cannot help.
     """
     kept = np.arange(len(points))
     tolerance = 0.0
     while True:
         offered = sections.take(kept)
-        tail = None if degree is None else Tail.on(points[kept], degree)
+        tail = None if degree is None else Tail.on(points[kept], degree, rows)
         try:
             basis = NativeBasis.of(offered, points[kept], nugget[kept], tail)
             solution = rule(basis, kept)
@@ -314,27 +410,49 @@ def matrix(sections: Sections, X: Array, n_columns: int) -> Array:
 
 def gram_matrix(
     sections: Sections, points: Array, nugget: Array
-) -> tuple[Array, float]:
-    """Assemble the Gram matrix plus a diagonal in Fortran order, and its 1-norm."""
+) -> tuple[Array, Array, float]:
+    """Assemble the Gram matrix plus a diagonal in Fortran order.
+
+    Returns
+    -------
+    K : ndarray of shape (M, M)
+        The matrix.
+    excess : ndarray of shape (M,)
+        What its diagonal has over the sections: the nugget, and a noise term of the
+        kernel, which counts here and nowhere else.
+    norm : float
+        Its 1-norm.
+    """
     n = len(points)
     K = matrix(sections, points, n)
-    norm = max(
-        float(np.abs(K[rows]).sum(axis=1).max())
-        for rows in gen_batches(n, _tile_rows(n))
-    )
-    # Not what the sections gave: a noise term of the kernel counts here alone.
-    K[np.diag_indices(n)] = sections.diagonal(points) + nugget
-    return K.T, norm + float(nugget.max())
+    diagonal = sections.diagonal(points) + nugget
+    excess = diagonal - K.diagonal()
+    K[np.diag_indices(n)] = diagonal
+    norms = [
+        np.abs(K[rows]).sum(axis=1).max() for rows in gen_batches(n, _tile_rows(n))
+    ]
+    return K.T, excess, float(np.max(norms))
 
 
 def independent_centers(
     sections: Sections, points: Array, nugget: Array, tolerance: float
 ) -> Indices:
     """Return the centres that a pivoted Cholesky factorisation keeps, in order."""
-    K, _ = gram_matrix(sections, points, nugget)
-    largest = float(K.diagonal().max())
-    _, pivots, rank, _ = dpstrf(K, tol=tolerance * largest, lower=1, overwrite_a=1)
-    return np.sort(pivots[: max(rank, 1)] - 1).astype(np.intp)
+    K, _, norm = gram_matrix(sections, points, nugget)
+    if not np.isfinite(norm):
+        raise UnsuitableKernelError("has values that are not finite on these states")
+    diagonal = K.diagonal().copy()
+    largest = float(diagonal.max())
+    F, pivots, rank, _ = dpstrf(K, tol=tolerance * largest, lower=1, overwrite_a=1)
+    rank = max(rank, 1)
+    order = pivots - 1
+    # What the centres kept leave of the others is zero up to rounding, or else the
+    # matrix has negative eigenvalues that no choice of centres mends.
+    left = diagonal[order[rank:]] - np.square(F[rank:, :rank]).sum(axis=1)
+    limit = max(tolerance, 1e-10) * largest
+    if largest <= 0 or (len(left) and np.abs(left).max() > limit):
+        raise UnsuitableKernelError("is not positive definite on these states")
+    return np.sort(order[:rank]).astype(np.intp)
 
 
 def evaluate(
@@ -348,8 +466,7 @@ def evaluate(
 
 def power(basis: NativeBasis, X: Array, n_jobs: int | None = None) -> Array:
     """Evaluate the power function."""
-    # A triangular solve reads the whole factor: more rows a time than in a tile.
-    n_rows = max(64, len(basis.lower) // 32)
+    n_rows = _block_rows(len(basis.lower))
     return np.sqrt(_by_rows(basis.variance, X, n_rows, n_jobs))
 
 
@@ -358,26 +475,15 @@ def column_norms(A: Array) -> Array:
     return np.array([dnrm2(column) for column in A.T])
 
 
-def _verified(
-    basis: NativeBasis,
-    kept: Indices,
-    w: Array,
-    rows: Array,
-    expected: Callable[[Array], Array],
-) -> Solution:
-    dual, trend = basis.coefficients(w)
-    error = 0.0
-    if not np.isfinite(dual).all():
-        raise np.linalg.LinAlgError("the coefficients are not finite")
-    if basis.rcond < SUSPECT:
-        values = evaluate(basis.sections, rows, dual)
-        if basis.tail:
-            values += basis.tail(rows) @ trend
-        wanted = expected(dual)
-        scale = np.abs(wanted).max() or 1.0
-        error = float(np.abs(values - wanted).max() / scale)
-    seminorm = column_norms(basis.seminorm_part(w))
-    return Solution(basis, kept, dual, trend, seminorm, error)
+def _evaluated(basis: NativeBasis, X: Array, dual: Array, trend: Array) -> Array:
+    values = evaluate(basis.sections, X, dual)
+    if basis.tail is not None:
+        values += polynomial(X, basis.tail.origin, trend)
+    return values
+
+
+def _relative_error(reached: Array, wanted: Array) -> float:
+    return float(np.abs(reached - wanted).max() / (np.abs(wanted).max() or 1.0))
 
 
 def _by_rows(
@@ -395,6 +501,11 @@ def _by_rows(
 
 def _tile_rows(n_columns: int) -> int:
     return max(TILE // n_columns, 1)
+
+
+def _block_rows(n_columns: int) -> int:
+    # A triangular solve reads the whole factor: more rows a time than in a tile.
+    return max(4 * TILE // n_columns, n_columns // 16, 1)
 
 
 def _solve_triangular(

@@ -20,7 +20,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_koopman._validation import check_integer, check_magnitude, check_number
 
-__all__ = ["SeparatedCenterSelector", "farthest_centers", "sequential_centers"]
+__all__ = ["SeparatedCenterSelector"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -142,7 +142,8 @@ class SeparatedCenterSelector(
         check_number(self.separation, "separation")
         if self.max_centers is not None:
             check_integer(self.max_centers, "max_centers", 1)
-        if self.order not in ("sequential", "farthest"):
+        orders = ("sequential", "farthest")
+        if not isinstance(self.order, str) or self.order not in orders:
             raise ValueError(
                 f"order must be 'sequential' or 'farthest', got {self.order!r}."
             )

@@ -25,9 +25,7 @@ __all__ = [
     "Gaussian",
     "InverseMultiquadric",
     "MaternSobolev",
-    "RadialKernel",
     "Wendland",
-    "as_kernel",
 ]
 
 Array = NDArray[np.float64]
@@ -162,7 +160,9 @@ class RadialKernel(
     def __repr__(self) -> str:
         """Show the scale and, where there are any, the further parameters."""
         shown = ", ".join(
-            f"{name}={value:.6g}" if isinstance(value, float) else f"{name}={value!r}"
+            f"{name}={value:.6g}"
+            if isinstance(value, float | np.floating)
+            else f"{name}={value!r}"
             for name, value in self.get_params().items()
             if name != "beta_bounds"
         )
@@ -282,7 +282,8 @@ class Wendland(RadialKernel):
         How many times the function is continuously differentiable: 2 means C^2.
     dimension : int, default=None
         Largest dimension D in which the function has to be positive definite. None
-        takes that of the data. The data may have fewer features, not more.
+        takes that of the data, and 3 for fewer features. The data may have fewer
+        features than D, not more.
     beta_bounds : pair of floats or "fixed", default=(1e-5, 1e5)
         Bounds of `beta` where it is optimised, as in `GaussianProcessRegressor`.
 
@@ -368,7 +369,7 @@ class Wendland(RadialKernel):
     def _polynomial(self, n_features: int) -> tuple[int, tuple[float, ...]]:
         """Return the exponent l + k and the coefficients of q."""
         k, coefficients = _lookup(self._POLYNOMIALS, self.smoothness, "smoothness")
-        dimension = n_features if self.dimension is None else self.dimension
+        dimension = max(n_features, 3) if self.dimension is None else self.dimension
         check_integer(dimension, "dimension", 1)
         if dimension < n_features:
             raise ValueError(
@@ -515,7 +516,7 @@ def as_kernel(kernel: Any, beta: float | None, n_features: int | None) -> Kernel
         kernel.beta = beta
     for part in (kernel, *kernel.get_params().values()):
         if isinstance(part, Wendland) and part.dimension is None:
-            part.dimension = 3 if n_features is None else n_features
+            part.dimension = max(n_features or 3, 3)
         if isinstance(part, RadialKernel):
             check_number(part.beta, "beta", positive=True)
     return kernel

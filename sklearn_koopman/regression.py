@@ -58,12 +58,13 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
           :class:`SeparatedCenterSelector`; its parameters can be tuned as
           ``centers__separation``.
         - "precomputed": `X` holds the distances of each state to every centre, as
-          ``SeparatedCenterSelector.transform`` gives them.
+          ``SeparatedCenterSelector.transform`` gives them. They do not tell the
+          number of features: beyond three, give a Wendland kernel its `dimension`.
     method : {"interpolation", "least_squares"}, default="interpolation"
         Which outputs the estimate is made from.
 
-        - "interpolation": those of the centres, which have to be rows of `X`
-          ([1]_). Exact on noise-free data.
+        - "interpolation": those of the centres, which have to be rows of `X` (the
+          first of equal rows counts; [1]_). Exact on noise-free data.
         - "least_squares": those of all rows. Averages over noise, and over what the
           states do not determine.
 
@@ -101,15 +102,24 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     kernel_ : Kernel
         The kernel, with its scale and dimension.
     amplitude_ : float or ndarray of shape (n_outputs,)
-        Native-space norm of the estimate over the square root of n_centers (less
-        the number of trend coefficients): the standard deviation at which the kernel
-        as the covariance of a Gaussian process explains the outputs best.
+        Scale of the outputs in terms of the kernel. For interpolation
+        ``sqrt(u^T (K + alpha I)^-1 u / M)`` with M the number of centres: the
+        standard deviation at which the kernel, as the covariance of a Gaussian
+        process, makes the outputs most likely (restricted maximum likelihood, with M
+        less the rank of the trend, if there is one). For least squares the native
+        norm of the estimate over sqrt(M) instead, which is smaller, the stronger
+        `alpha` shrinks it.
     noise_ : float or ndarray of shape (n_outputs,)
         Standard deviation of the outputs about the estimate: ``amplitude_ *
-        sqrt(alpha)`` for interpolation, that of the residuals for least squares.
+        sqrt(alpha)`` where all rows or interpolated ones are centres, otherwise that
+        of the residuals over the number of rows less the effective number of
+        parameters.
     rcond_ : float
-        Estimate of the reciprocal condition number of the Gram matrix. About
-        ``-log10(rcond_)`` of 16 digits are lost in the coefficients.
+        Estimate of the reciprocal condition number of the matrix that was factored:
+        K, with `alpha` on its diagonal for interpolation. About ``-log10(rcond_)`` of
+        16 digits are lost in the coefficients, fewer in the predictions: where many
+        are lost, the estimate is accepted if it reproduces the values that it should
+        have to 1e-6 of their size.
     n_features_in_ : int
         Number of features seen during `fit`.
     feature_names_in_ : ndarray of shape (n_features_in_,)
@@ -142,7 +152,8 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     mean output, and with `alpha` over their number on the diagonal of K.
 
     Memory is one M x M matrix; the Cholesky factor is kept for `power_function`, but
-    not pickled, and computed anew when first needed after loading.
+    not pickled, and computed anew when first needed after loading (which takes the
+    centres, so that after ``centers="precomputed"`` it cannot be).
 
     References
     ----------
@@ -249,7 +260,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if self.method == "interpolation" or counts is not None:
             assert rows is not None
             nugget += self.alpha / (1 if counts is None else counts)
-            rule = _solvers.interpolation(points, outputs[rows], nugget)
+            rule, extent = _solvers.interpolation(points, outputs[rows]), points
         else:
             if self.alpha == 0 and len(X) < len(points):
                 raise ValueError(
@@ -257,7 +268,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                     f"as centres, got {len(X)} rows and {len(points)} centres; set "
                     "alpha > 0 or choose fewer centres."
                 )
-            rule = _solvers.regression(X, outputs, self.alpha)
+            rule, extent = _solvers.regression(X, outputs, self.alpha), X
         try:
             solution, tolerance = _solvers.solve(
                 sections,
@@ -265,8 +276,13 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 nugget,
                 rule,
                 DEGREES[self.trend],
+                extent,
                 drop_dependent=self.solver == "auto",
             )
+        except _solvers.UnsuitableKernelError as error:
+            raise ValueError(
+                f"kernel={kernel!r} {error}; rescale them, or take another kernel."
+            ) from error
         except np.linalg.LinAlgError as error:
             raise ValueError(
                 f"No estimate for kernel={kernel!r} on {len(points)} centres: {error}. "
@@ -328,8 +344,8 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         is the squared distance of k(., x) from the span of the sections, so that
         ``|g(x) - estimate(x)| <= P(x) ||g||_H`` for every g in the native space H of
         the kernel ([2]_ of the class, Theorem 11.4). With a `trend` it is that of the
-        span with the polynomials, and with interpolation and ``alpha > 0`` K has
-        `alpha` on its diagonal.
+        span with the polynomials. Where ``alpha > 0`` is on the diagonal of K, for
+        interpolation and where every row is a centre, it is there here, too.
 
         Parameters
         ----------
@@ -342,6 +358,11 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         power : ndarray of shape (n_samples,)
             Zero at the centres (if alpha is 0, up to the square root of the rounding
             error), and at most sqrt(k(x, x)) without a `trend`.
+
+        Raises
+        ------
+        ValueError
+            If the model was fitted to distances and loaded from a pickle.
         """
         check_is_fitted(self)
         return _solvers.power(self._native_basis(), self._validated(X), self.n_jobs)
@@ -363,7 +384,8 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             ("trend", tuple(DEGREES)),
             ("solver", ("auto", "cholesky")),
         ):
-            if (value := getattr(self, name)) not in choices:
+            value = getattr(self, name)
+            if not (value is None or isinstance(value, str)) or value not in choices:
                 raise ValueError(
                     f"{name} must be one of {', '.join(map(repr, choices))}, "
                     f"got {value!r}."
@@ -447,8 +469,9 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         missing = rows >= len(X)
         if missing.any():
             raise ValueError(
-                f"centers={self.centers!r} has {missing.sum()} of {len(centers)} "
-                "centres that are no rows of X, so that their outputs are unknown; "
+                f"{missing.sum()} of {len(centers)} centres, given or chosen by "
+                f"centers={type(self.centers).__name__}, are no rows of X, so that "
+                "their outputs are unknown; "
                 "use method='least_squares', or choose the centres among the rows "
                 "(SeparatedCenterSelector does)."
             )
@@ -463,11 +486,9 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         nugget: Array,
         solution: _solvers.Solution,
     ) -> None:
-        kept, tail = solution.kept, solution.basis.tail
-        freedom = len(kept) - len(solution.trend)
-        amplitude = solution.seminorm / np.sqrt(max(freedom, 1))
+        basis, kept = solution.basis, solution.kept
 
-        def shaped(values: Array) -> Array:
+        def shaped(values: Array) -> Any:
             return values.reshape((*values.shape[:-1], *y.shape[1:]))[()]
 
         for stale in ("centers_", "trend_coef_"):
@@ -476,41 +497,46 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.kernel_ = kernel
         self.center_indices_ = None if rows is None else rows[kept]
         self.dual_coef_ = shaped(solution.dual)
-        self.rcond_ = solution.basis.rcond
-        self._sections = solution.basis.sections
+        self.rcond_ = basis.rcond
+        self._sections = basis.sections
         if isinstance(self._sections, _solvers.KernelSections):
             self.centers_ = self._sections.centers
         self._nugget = nugget[kept]
-        self._tail = tail
-        self._trend = solution.trend
-        self._basis = solution.basis
-        if tail is not None:
-            coefficients = tail.transform @ solution.trend
-            n_terms = 1 if self.trend == "constant" else len(coefficients)
-            self.trend_coef_ = shaped(coefficients[:n_terms])
-        self.amplitude_ = shaped(amplitude)
+        self._tail = basis.tail
+        if basis.tail is not None:
+            self.trend_coef_ = shaped(solution.trend)
+        self._basis = basis
+        degrees = max(len(kept) - basis.Q.shape[1], 1)
+        amplitude = solution.seminorm / np.sqrt(degrees)
         noise = amplitude * np.sqrt(self.alpha)
-        if self.method == "least_squares" and len(X) > len(kept):
+        spare = len(X) - solution.freedom
+        if (
+            self.method == "least_squares"
+            and spare > 1e-6 * len(X)
+            and not nugget.any()
+        ):
             residual = y.reshape(len(y), -1) - self._evaluate(X)
-            noise = _solvers.column_norms(residual) / np.sqrt(len(X) - len(kept))
+            noise = _solvers.column_norms(residual) / np.sqrt(spare)
+        self.amplitude_ = shaped(amplitude)
         self.noise_ = shaped(noise)
 
     def _evaluate(self, X: Array) -> Array:
         dual = self.dual_coef_.reshape(len(self.dual_coef_), -1)
         y = _solvers.evaluate(self._sections, X, dual, self.n_jobs)
         if self._tail is not None:
-            y += self._tail(X) @ self._trend
+            trend = self.trend_coef_.reshape(len(self.trend_coef_), -1)
+            y += _solvers.polynomial(X, self._tail.origin, trend)
         return y
 
     def _validated(self, X: Any) -> Array:
         X = validate_data(self, X, reset=False, dtype=np.float64)
-        if self._precomputed:
+        if isinstance(self._sections, _solvers.DistanceSections):
             _check_distances(X)
         return X
 
     def _native_basis(self) -> _solvers.NativeBasis:
         if not hasattr(self, "_basis"):
-            if self._precomputed:
+            if isinstance(self._sections, _solvers.DistanceSections):
                 raise ValueError(
                     "With centers='precomputed' the distances between the centres are "
                     "not pickled, so that a loaded model has no power function or "

@@ -69,12 +69,16 @@ def wendland_by_integration(dimension, k, r):
 def test_wendland_is_the_integrated_power(smoothness, dimension):
     r = [Fraction(i, 32) for i in range(33)]
     expected = [wendland_by_integration(dimension, smoothness // 2, x) for x in r]
-    kernel = Wendland(2.0, smoothness)
-    actual = values(kernel, 2 * np.array(r, dtype=float), dimension)
-    assert_allclose(actual, expected, rtol=1e-13, atol=0)
-    # A dimension beyond that of the data selects the polynomial, too.
     kernel = Wendland(2.0, smoothness, dimension=dimension)
-    assert_array_equal(values(kernel, 2 * np.array(r, dtype=float)), actual)
+    distances = 2 * np.array(r, dtype=float)
+    actual = values(kernel, distances, dimension)
+    assert_allclose(actual, expected, rtol=1e-13, atol=0)
+    # Not the data but the dimension, where it is given, selects the polynomial.
+    assert_array_equal(values(kernel, distances), actual)
+    # Where it is not, the data do, from three features on.
+    by_data = values(Wendland(2.0, smoothness), distances, max(dimension, 2))
+    by_hand = Wendland(2.0, smoothness, dimension=max(dimension, 3))
+    assert_array_equal(by_data, values(by_hand, distances))
 
 
 # Section 4.1 of the paper, k_2^CS divided by 3, and Wendland's for smoothness 0.

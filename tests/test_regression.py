@@ -20,6 +20,7 @@ from sklearn.gaussian_process.kernels import (
     RBF,
     ConstantKernel,
     DotProduct,
+    ExpSineSquared,
     Matern,
     WhiteKernel,
 )
@@ -252,9 +253,73 @@ def test_methods_agree_where_every_row_is_a_centre(scattered, trend, alpha):
     general = KoopmanKernelRegressor(
         trend=trend, alpha=alpha, method="least_squares", centers=X
     ).fit(X, y)
-    assert_array_equal(same["interpolation"][0], same["least_squares"][0])
-    assert_array_equal(same["interpolation"][1], same["least_squares"][1])
+    assert_allclose(same["interpolation"][0], same["least_squares"][0], rtol=1e-12)
     assert_allclose(general.predict(X_new), same["interpolation"][0], atol=1e-9)
+
+
+@pytest.mark.parametrize("alpha", [1e-8, 1e4, 1e12])
+def test_no_weight_harms_the_trend(scattered, alpha):
+    """In the limit the kernel part vanishes, and linear regression remains."""
+    X, y, X_new = scattered
+    model = KoopmanKernelRegressor(
+        centers=SeparatedCenterSelector(0.6),
+        method="least_squares",
+        alpha=alpha,
+        trend="linear",
+    ).fit(X, y)
+    Xi = model.centers_
+    N = null_space(monomials(Xi).T)
+    L = np.linalg.cholesky(matern(Xi, Xi, 1.0))
+    # The polynomials are eliminated by projection, and the weight by scaling.
+    Q = np.linalg.qr(monomials(X))[0]
+    A = matern(X, Xi, 1.0) @ N
+    A = np.vstack([(A - Q @ (Q.T @ A)) / np.sqrt(alpha), L.T @ N])
+    target = np.vstack([(y - Q @ (Q.T @ y)) / np.sqrt(alpha), np.zeros((len(Xi), 2))])
+    c = N @ np.linalg.lstsq(A, target, rcond=None)[0]
+    b = np.linalg.lstsq(monomials(X), y - matern(X, Xi, 1.0) @ c, rcond=None)[0]
+    expected = matern(X_new, Xi, 1.0) @ c + monomials(X_new) @ b
+    assert_allclose(model.predict(X_new), expected, rtol=1e-8, atol=1e-8)
+
+
+def test_trend_is_that_of_all_rows_where_the_centres_are_few():
+    rng = np.random.default_rng(6)
+    X = rng.standard_normal((200, 10))
+    A, far = rng.standard_normal((10, 2)), 100 * rng.standard_normal((20, 10))
+    model = KoopmanKernelRegressor(
+        centers=KMeans(4, n_init=1, random_state=0),
+        method="least_squares",
+        trend="linear",
+    ).fit(X, X @ A + 3.0)
+    assert_allclose(model.predict(far), far @ A + 3.0, rtol=1e-8)
+
+
+def test_trend_is_zero_in_directions_that_rows_do_not_show():
+    rng = np.random.default_rng(7)
+    X = np.column_stack([rng.uniform(-1, 1, 50), np.zeros(50)])
+    centers = rng.uniform(-1, 1, (6, 2))
+    model = KoopmanKernelRegressor(
+        centers=centers, method="least_squares", trend="linear", alpha=1e-3
+    ).fit(X, 2 * X[:, 0])
+    assert_allclose(model.predict(X), 2 * X[:, 0], atol=1e-6)
+    other = KoopmanKernelRegressor(
+        centers=X[::10], method="least_squares", trend="linear", alpha=1e-3
+    ).fit(X, 2 * X[:, 0])
+    assert_allclose(other.trend_coef_[1:], [2.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("kernel", ["matern12", "matern32", "wendland_c2"])
+def test_rows_that_do_not_determine_the_centres_are_refused(kernel):
+    rng = np.random.default_rng(8)
+    X = np.repeat(rng.uniform(-1, 1, (11, 2)), 3, axis=0)
+    y = np.sin(X[:, 0])
+    for _ in range(20):
+        centers = rng.uniform(-1, 1, (12, 2))
+        model = KoopmanKernelRegressor(kernel, centers=centers, method="least_squares")
+        with pytest.raises(ValueError, match=r"12 centres; set alpha > 0"):
+            model.fit(X, y)
+    # A weight picks the one of least norm, which stays within the outputs' bounds.
+    model.set_params(alpha=1e-6).fit(X, y)
+    assert np.abs(model.predict(rng.uniform(-1, 1, (1000, 2)))).max() < 2
 
 
 def test_least_squares_keeps_accuracy_that_normal_equations_lose():
@@ -370,6 +435,36 @@ def test_standard_deviation_covers_what_it_should():
     assert np.mean(np.abs(y[200:] - mean) < 1.96 * std) == pytest.approx(0.95, abs=0.01)
 
 
+@pytest.mark.parametrize("trend", [None, "linear"])
+@pytest.mark.parametrize("alpha", [0.0, 0.05, 10.0])
+def test_effective_parameters_are_the_trace_of_the_hat_matrix(scattered, alpha, trend):
+    X, _, _ = scattered
+    model = KoopmanKernelRegressor(
+        centers=X[::5], method="least_squares", alpha=alpha, trend=trend
+    )
+    hat = model.fit(X, np.eye(len(X))).predict(X)
+    model.fit(X, X[:, 0] ** 3)
+    residual = X[:, 0] ** 3 - hat @ X[:, 0] ** 3
+    freedom = len(X) - np.trace(hat)
+    assert_allclose(model.noise_, np.sqrt(residual @ residual / freedom), rtol=1e-6)
+
+
+def test_standard_deviation_of_least_squares_covers_what_it_should():
+    rng = np.random.default_rng(9)
+    X = rng.uniform(0, 3, (400, 2))
+    factor = np.linalg.cholesky(4 * matern(X, X, 2.0) + 0.25 * np.eye(400))
+    y = factor @ rng.standard_normal((400, 40))
+    model = KoopmanKernelRegressor(
+        beta=2.0,
+        method="least_squares",
+        alpha=0.25 / 4,
+        centers=SeparatedCenterSelector(0.2),
+    ).fit(X[:300], y[:300])
+    assert_allclose(model.noise_.mean(), 0.5, rtol=0.03)
+    mean, std = model.predict(X[300:], return_std=True)
+    assert np.mean(np.abs(y[300:] - mean) < 1.96 * std) == pytest.approx(0.95, abs=0.02)
+
+
 def test_noise_of_least_squares_is_that_of_the_residuals():
     rng = np.random.default_rng(4)
     X = rng.uniform(0, 4, (3000, 1))
@@ -390,9 +485,15 @@ def test_noise_of_least_squares_is_that_of_the_residuals():
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("trend", [None, "constant"])
 @pytest.mark.parametrize("kernel", [*KERNELS, Matern(1.5, nu=2.5), 2.0 * RBF(0.7)])
-def test_distances_serve_as_well_as_states(scattered, method, trend, kernel):
+@pytest.mark.parametrize("n_features", [1, 3, 6])
+def test_distances_serve_as_well_as_states(
+    scattered, method, trend, kernel, n_features
+):
     X, y, X_new = scattered
-    X, X_new = np.hstack([X, X[:, :1] ** 2]), np.hstack([X_new, X_new[:, :1] ** 2])
+    lift = np.random.default_rng(0).standard_normal((2, n_features))
+    X, X_new = X @ lift, X_new @ lift
+    if n_features > 3 and isinstance(kernel, str) and kernel.startswith("wendland"):
+        kernel = KERNELS[kernel](beta=3.0, dimension=n_features)
     selector = SeparatedCenterSelector(0.7).fit(X)
     options = {"method": method, "trend": trend, "alpha": 1e-3}
     inside = KoopmanKernelRegressor(
@@ -420,6 +521,19 @@ def test_a_noise_kernel_counts_at_the_centres_only(scattered):
     outside = KoopmanKernelRegressor(noisy.kernel, centers="precomputed")
     outside.fit(distances, y)
     assert_allclose(outside.predict(cdist(X_new, X)), ridge.predict(X_new), rtol=1e-9)
+
+
+def test_a_small_noise_kernel_keeps_the_centres(scattered):
+    """The estimate misses the outputs by that noise, as it should."""
+    X, y, X_new = scattered
+    kernel = RBF(10.0) + WhiteKernel(1e-8)
+    model = KoopmanKernelRegressor(kernel).fit(X, y)
+    process = GaussianProcessRegressor(kernel, alpha=0.0, optimizer=None).fit(X, y)
+    assert len(model.centers_) == len(X)
+    assert_allclose(model.predict(X_new), process.predict(X_new), rtol=1e-4, atol=1e-4)
+    for noise in (0.3, 10.0):
+        model = KoopmanKernelRegressor(Matern(0.01) + WhiteKernel(noise)).fit(X, y)
+        assert 0.3 < model.rcond_ <= 1
 
 
 def test_a_kernel_of_any_kind_serves(scattered):
@@ -458,7 +572,7 @@ def test_wendland_takes_the_dimension_of_the_data(scattered):
     model = KoopmanKernelRegressor("wendland_c2").fit(np.hstack([X, X, X]), y)
     assert model.kernel_.dimension == 6
     composed = KoopmanKernelRegressor(2.0 * Wendland(3.0) + MaternSobolev()).fit(X, y)
-    assert composed.kernel_.k1.k2.dimension == 2
+    assert composed.kernel_.k1.k2.dimension == 3  # the least, as for distances
     assert composed.kernel.k1.k2.dimension is None  # the parameter stays as it was
     distances = KoopmanKernelRegressor("wendland_c2", centers="precomputed")
     assert distances.fit(cdist(X, X), y).kernel_.dimension == 3
@@ -499,6 +613,32 @@ def test_no_solution_is_used_that_misses_its_values():
     with pytest.warns(LinAlgWarning, match="centres that depend"):
         model = KoopmanKernelRegressor("wendland_c6", beta=3.0).fit(X, y)
     assert_allclose(model.predict(model.centers_), y[model.center_indices_], atol=1e-6)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_kernel_that_is_not_positive_definite_is_refused(method):
+    X = np.random.default_rng(0).standard_normal((40, 3))
+    model = KoopmanKernelRegressor(
+        ExpSineSquared(), centers=X[:20], method=method, alpha=1e-3
+    )
+    with pytest.raises(ValueError, match=r"ExpSineSquared.*is not positive definite"):
+        model.fit(X, X[:, 0])
+
+
+def test_trend_survives_the_loss_of_centres():
+    """A kernel too wide to tell one centre from another leaves linear regression."""
+    rng = np.random.default_rng(10)
+    X, A = rng.standard_normal((100, 6)), rng.standard_normal((6, 2))
+    model = KoopmanKernelRegressor(
+        "gaussian",
+        beta=1e8,
+        centers=X[:20],
+        method="least_squares",
+        alpha=1e-3,
+        trend="linear",
+    ).fit(X, X @ A)
+    assert len(model.centers_) < 20
+    assert_allclose(model.predict(10 * X), 10 * X @ A, rtol=1e-7)
 
 
 def test_regularised_least_squares_leaves_centres_out_in_silence():
@@ -615,6 +755,20 @@ def test_another_process_predicts_the_same_bits(tmp_path, pendulum):
         [sys.executable, "-c", code, tmp_path / "model.joblib", result], check=True
     )
     assert_array_equal(np.load(result), model.predict(pendulum.X))
+
+
+def test_parameters_set_after_the_fit_wait_for_the_next(scattered):
+    X, y, X_new = scattered
+    model = KoopmanKernelRegressor(alpha=0.1, trend="constant").fit(X, y)
+    before = model.predict(X_new, return_std=True)
+    model.set_params(
+        centers="precomputed", alpha=1.0, trend=None, beta=9.0, method="least_squares"
+    )
+    for loaded in (model, pickle.loads(pickle.dumps(model))):
+        for after, value in zip(
+            loaded.predict(X_new, return_std=True), before, strict=True
+        ):
+            assert_allclose(after, value, rtol=1e-12)
 
 
 def test_refitting_forgets_the_former_fit(scattered):
