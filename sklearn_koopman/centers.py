@@ -14,6 +14,7 @@ from sklearn.base import (
     ClassNamePrefixFeaturesOutMixin,
     ClusterMixin,
     TransformerMixin,
+    clone,
 )
 from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
@@ -284,6 +285,139 @@ def farthest_centers(
         touched[near // size] = True
         farthest[touched] = blocks[touched].max(axis=1)
     return np.array(indices, dtype=np.intp)
+
+
+def choose_centers(
+    centers: Any, X: Array, y: Any, *, among_rows: bool
+) -> tuple[Array, Indices | None]:
+    """Return the centres that an estimator's parameter `centers` means.
+
+    Parameters
+    ----------
+    centers : array-like of shape (n_centers, n_features) or estimator
+        The centres, or an estimator whose clone is fitted to find them.
+    X : ndarray of shape (n_samples, n_features)
+        The samples.
+    y : ndarray
+        The outputs, for estimators that ask for them.
+    among_rows : bool
+        Whether every centre has to be a row of `X`.
+
+    Returns
+    -------
+    points : ndarray of shape (n_centers, n_features)
+        The centres.
+    rows : ndarray of shape (n_centers,) or None
+        The first row of `X` that each centre is; None where that is not known.
+    """
+    rows = None
+    if hasattr(centers, "fit") and not isinstance(centers, type):
+        selector = clone(centers).fit(X, y)
+        if not hasattr(selector, "cluster_centers_"):
+            raise ValueError(
+                f"centers={centers!r} has no cluster_centers_ after fit; use "
+                "SeparatedCenterSelector, KMeans, or an array of centres."
+            )
+        points = np.asarray(selector.cluster_centers_, dtype=np.float64)
+        rows = getattr(selector, "center_indices_", None)
+        # A frozen selector knows rows of the data that it was fitted to.
+        if rows is not None and not (
+            rows.max() < len(X) and np.array_equal(X[rows], points)
+        ):
+            rows = None
+    elif isinstance(centers, str | type):
+        raise ValueError(
+            "centers must be None, an array, a selector (an instance) or "
+            f"'precomputed', got {centers!r}."
+        )
+    else:
+        points = check_array(centers, dtype=np.float64, copy=True, input_name="centers")
+    if points.shape[1] != X.shape[1]:
+        raise ValueError(
+            f"centers has {points.shape[1]} features, but X has {X.shape[1]}; they "
+            "must be states of the same kind (and scale)."
+        )
+    if rows is None and among_rows:
+        first, group, _ = distinct_rows(np.vstack([X, points]))
+        rows = first[group[len(X) :]]
+        missing = rows >= len(X)
+        if missing.any():
+            raise ValueError(
+                f"{missing.sum()} of {len(points)} centres, given or chosen by "
+                f"centers={type(centers).__name__}, are no rows of X, so that their "
+                "outputs are unknown; use method='least_squares', or choose the "
+                "centres among the rows (SeparatedCenterSelector does)."
+            )
+    return points, rows
+
+
+def distinct_rows(X: Array) -> tuple[Indices, Indices, Indices]:
+    """Find equal rows.
+
+    Parameters
+    ----------
+    X : ndarray of shape (n_samples, n_features)
+        The rows.
+
+    Returns
+    -------
+    first : ndarray of shape (n_distinct,)
+        The first of each lot of equal rows, in rising order.
+    group : ndarray of shape (n_samples,)
+        Which of them each row equals.
+    counts : ndarray of shape (n_distinct,)
+        How many rows equal each of them.
+    """
+    _, first, group, counts = np.unique(
+        X, axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    # In the order of the rows, not in that of their values.
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[group.reshape(-1)], counts[order]
+
+
+def rows_at_distance_zero(distances: Array) -> Indices:
+    """Find the centres among the rows, given the distances of the rows to them.
+
+    Parameters
+    ----------
+    distances : ndarray of shape (n_samples, n_centers)
+        The distances.
+
+    Returns
+    -------
+    rows : ndarray of shape (n_centers,)
+        The first row at distance zero from each centre.
+    """
+    check_distances(distances)
+    rows = distances.argmin(axis=0)
+    apart = np.flatnonzero(distances[rows, np.arange(distances.shape[1])] != 0)
+    if len(apart):
+        raise ValueError(
+            f"With centers='precomputed' every centre must be a row of X at distance "
+            f"zero from itself, but {len(apart)} of {distances.shape[1]} columns "
+            f"(first {apart[0]}) hold no zero. Rows left out after the selector, or "
+            "centres such as those of KMeans, cause this; pass the states and "
+            "centers=SeparatedCenterSelector() instead."
+        )
+    return rows
+
+
+def check_distances(X: Array) -> None:
+    """Refuse what cannot be distances.
+
+    Parameters
+    ----------
+    X : ndarray of shape (n_samples, n_centers)
+        The supposed distances.
+    """
+    if X.min() < 0:
+        raise ValueError(
+            f"X holds {X.min():.3g}: with centers='precomputed' its entries are "
+            "distances to the centres, as SeparatedCenterSelector.transform gives them."
+        )
 
 
 def _sorted_tree(X: Array) -> tuple[KDTree, Indices]:

@@ -8,12 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgWarning
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
-from sklearn.utils import check_array, check_X_y
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
+from sklearn.utils import check_X_y
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_koopman import _solvers
 from sklearn_koopman._validation import check_number
+from sklearn_koopman.centers import (
+    check_distances,
+    choose_centers,
+    distinct_rows,
+    rows_at_distance_zero,
+)
 from sklearn_koopman.kernels import as_kernel
 
 __all__ = ["KoopmanKernelRegressor"]
@@ -237,30 +243,37 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         n_features = None if self._precomputed else X.shape[1]
         kernel = as_kernel(self.kernel, self.beta, n_features)
         outputs = y.reshape(len(y), -1)
+        interpolates = self.method == "interpolation"
         rows: Indices | None
-        counts: Indices | None
+        sections: _solvers.Sections
+        weight: float | Array = self.alpha
         if self._precomputed:
-            _check_distances(X)
             if not kernel.is_stationary():
                 raise ValueError(
                     f"kernel={kernel!r} does not depend on distances alone, which "
                     "centers='precomputed' needs; pass the states and a selector."
                 )
-            rows, counts = _rows_at_distance_zero(X), None
+            rows = rows_at_distance_zero(X)
             points = X[rows]
-            sections: _solvers.Sections = _solvers.DistanceSections(
-                kernel, np.arange(X.shape[1])
-            )
+            sections = _solvers.DistanceSections(kernel, np.arange(X.shape[1]))
+        elif self.centers is None:
+            # Least squares over the sections of all rows is interpolation with alpha.
+            exact = interpolates and self.alpha == 0
+            interpolates = True
+            rows, outputs, counts = _merge_equal_rows(X, outputs, exact)
+            weight = self.alpha / counts
+            points = X[rows]
+            sections = _solvers.KernelSections(kernel, points)
         else:
-            points, rows, counts, outputs = self._choose_centers(X, outputs)
+            points, rows = choose_centers(self.centers, X, y, among_rows=interpolates)
             sections = _solvers.KernelSections(kernel, points)
 
         nugget = np.zeros(len(points))
-        # Least squares over the sections of all rows is interpolation with a nugget.
-        if self.method == "interpolation" or counts is not None:
+        if interpolates:
             assert rows is not None
-            nugget += self.alpha / (1 if counts is None else counts)
-            rule, extent = _solvers.interpolation(points, outputs[rows]), points
+            nugget += weight
+            u = outputs if self.centers is None else outputs[rows]
+            rule, extent = _solvers.interpolation(points, u), points
         else:
             if self.alpha == 0 and len(X) < len(points):
                 raise ValueError(
@@ -396,87 +409,6 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 "distances only; pass the states and centers=SeparatedCenterSelector()."
             )
 
-    def _choose_centers(
-        self, X: Array, y: Array
-    ) -> tuple[Array, Indices | None, Indices | None, Array]:
-        """Return centres, their rows, how many rows each stands for, and outputs."""
-        if self.centers is None:
-            return self._distinct_rows(X, y)
-        rows = None
-        if isinstance(self.centers, str):
-            raise ValueError(
-                "centers must be None, an array, a selector or 'precomputed', got "
-                f"{self.centers!r}."
-            )
-        if hasattr(self.centers, "fit"):
-            selector = clone(self.centers).fit(X, y)
-            if not hasattr(selector, "cluster_centers_"):
-                raise ValueError(
-                    f"centers={self.centers!r} has no cluster_centers_ after fit; use "
-                    "SeparatedCenterSelector, KMeans, or an array of centres."
-                )
-            centers = np.asarray(selector.cluster_centers_, dtype=np.float64)
-            rows = getattr(selector, "center_indices_", None)
-            # A frozen selector knows rows of the data that it was fitted to.
-            if rows is not None and not (
-                rows.max() < len(X) and np.array_equal(X[rows], centers)
-            ):
-                rows = None
-        else:
-            centers = check_array(
-                self.centers, dtype=np.float64, copy=True, input_name="centers"
-            )
-        if centers.shape[1] != X.shape[1]:
-            raise ValueError(
-                f"centers has {centers.shape[1]} features, but X has {X.shape[1]}; "
-                "they must be states of the same kind (and scale)."
-            )
-        if rows is None and self.method == "interpolation":
-            rows = self._find_rows(X, centers)
-        return centers, rows, None, y
-
-    def _distinct_rows(
-        self, X: Array, y: Array
-    ) -> tuple[Array, Indices, Indices, Array]:
-        rows, group, counts = _distinct(X)
-        if len(rows) == len(X):
-            return X, rows, counts, y
-        mean = np.zeros((len(rows), y.shape[1]))
-        np.add.at(mean, group, y)
-        mean /= counts[:, np.newaxis]
-        deviation = np.abs(y - mean[group]).max(axis=1)
-        worst = int(deviation.argmax())
-        if (
-            self.method == "interpolation"
-            and self.alpha == 0
-            and deviation[worst] > 1e-10 * np.abs(y).max()
-        ):
-            equal = np.flatnonzero(group == group[worst])
-            first = equal[0]
-            other = equal[np.abs(y[equal] - y[first]).max(axis=1).argmax()]
-            raise ValueError(
-                f"rows {first} and {other} of X are equal but their outputs differ: "
-                f"with alpha=0 no function interpolates both. Set alpha > 0 or "
-                "method='least_squares', or add delays to the states."
-            )
-        merged = y.copy()
-        merged[rows] = mean
-        return X[rows], rows, counts, merged
-
-    def _find_rows(self, X: Array, centers: Array) -> Indices:
-        first, group, _ = _distinct(np.vstack([X, centers]))
-        rows = first[group[len(X) :]]
-        missing = rows >= len(X)
-        if missing.any():
-            raise ValueError(
-                f"{missing.sum()} of {len(centers)} centres, given or chosen by "
-                f"centers={type(self.centers).__name__}, are no rows of X, so that "
-                "their outputs are unknown; "
-                "use method='least_squares', or choose the centres among the rows "
-                "(SeparatedCenterSelector does)."
-            )
-        return rows
-
     def _store(
         self,
         X: Array,
@@ -531,7 +463,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def _validated(self, X: Any) -> Array:
         X = validate_data(self, X, reset=False, dtype=np.float64)
         if isinstance(self._sections, _solvers.DistanceSections):
-            _check_distances(X)
+            check_distances(X)
         return X
 
     def _native_basis(self) -> _solvers.NativeBasis:
@@ -555,35 +487,25 @@ _REMEDY = (
 )
 
 
-def _distinct(X: Array) -> tuple[Indices, Indices, Indices]:
-    """Return the first row of each distinct one, each row's group, and their sizes."""
-    _, first, group, counts = np.unique(
-        X, axis=0, return_index=True, return_inverse=True, return_counts=True
-    )
-    # In the order of the rows, not in that of their values.
-    order = np.argsort(first)
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return first[order], rank[group.reshape(-1)], counts[order]
-
-
-def _check_distances(X: Array) -> None:
-    if X.min() < 0:
+def _merge_equal_rows(
+    X: Array, y: Array, exact: bool
+) -> tuple[Indices, Array, Indices]:
+    """Return the first of equal rows, their mean outputs, and their numbers."""
+    rows, group, counts = distinct_rows(X)
+    if len(rows) == len(X):
+        return rows, y, counts
+    mean = np.zeros((len(rows), y.shape[1]))
+    np.add.at(mean, group, y)
+    mean /= counts[:, np.newaxis]
+    deviation = np.abs(y - mean[group]).max(axis=1)
+    worst = int(deviation.argmax())
+    if exact and deviation[worst] > 1e-10 * np.abs(y).max():
+        equal = np.flatnonzero(group == group[worst])
+        first = equal[0]
+        other = equal[np.abs(y[equal] - y[first]).max(axis=1).argmax()]
         raise ValueError(
-            f"X holds {X.min():.3g}: with centers='precomputed' its entries are "
-            "distances to the centres, as SeparatedCenterSelector.transform gives them."
+            f"rows {first} and {other} of X are equal but their outputs differ: "
+            f"with alpha=0 no function interpolates both. Set alpha > 0 or "
+            "method='least_squares', or add delays to the states."
         )
-
-
-def _rows_at_distance_zero(X: Array) -> Indices:
-    rows = X.argmin(axis=0)
-    apart = np.flatnonzero(X[rows, np.arange(X.shape[1])] != 0)
-    if len(apart):
-        raise ValueError(
-            f"With centers='precomputed' every centre must be a row of X at distance "
-            f"zero from itself, but {len(apart)} of {X.shape[1]} columns (first "
-            f"{apart[0]}) hold no zero. Rows left out after the selector, or centres "
-            "such as those of KMeans, cause this; pass the states and "
-            "centers=SeparatedCenterSelector() instead."
-        )
-    return rows
+    return rows, mean, counts

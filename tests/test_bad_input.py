@@ -73,6 +73,12 @@ REFUSED = {
         Y,
         ["centers", "'kmeans'", "'precomputed'", "selector"],
     ),
+    "centers as a class": (
+        {"centers": KMeans},
+        X,
+        Y,
+        ["centers", "KMeans", "an instance"],
+    ),
     "centers of another dimension": (
         {"centers": np.zeros((3, 5))},
         X,
@@ -90,7 +96,7 @@ REFUSED = {
         {"centers": X[:4] + 0.1},
         X,
         Y,
-        ["centers=", "4 of 4", "method='least_squares'"],
+        ["4 of 4 centres", "centers=ndarray", "method='least_squares'"],
     ),
     "interpolation on KMeans": (
         {"centers": KMeans(4, n_init=1, random_state=0)},
