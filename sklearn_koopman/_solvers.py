@@ -118,7 +118,9 @@ class Tail:
         varies = scale > 1e-13 * np.abs(origin)
         inverse = np.divide(1.0, scale, out=np.zeros(n_features), where=varies)
         monomials = np.hstack([np.ones((n_centers, 1)), (centers - origin) * inverse])
-        _, singular, directions = np.linalg.svd(monomials)
+        # All directions, also those that few centres do not see.
+        few = n_centers <= n_features
+        _, singular, directions = np.linalg.svd(monomials, full_matrices=few)
         rank = int((singular > 1e-10 * singular[0]).sum())
         coefficients = np.vstack(
             [directions.T[:1], directions.T[1:] * inverse[:, None]]
