@@ -116,10 +116,10 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         norm of the estimate over sqrt(M) instead, which is smaller, the stronger
         `alpha` shrinks it.
     noise_ : float or ndarray of shape (n_outputs,)
-        Standard deviation of the outputs about the estimate: ``amplitude_ *
-        sqrt(alpha)`` where all rows or interpolated ones are centres, otherwise that
-        of the residuals over the number of rows less the effective number of
-        parameters.
+        Standard deviation of the outputs about the estimate. ``amplitude_ *
+        sqrt(alpha)`` for interpolation, and where every row is a centre; otherwise
+        the root of the sum of squared residuals over the number of rows less the
+        effective number of parameters.
     rcond_ : float
         Estimate of the reciprocal condition number of the matrix that was factored:
         K, with `alpha` on its diagonal for interpolation. About ``-log10(rcond_)`` of
@@ -248,7 +248,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         sections: _solvers.Sections
         weight: float | Array = self.alpha
         if self._precomputed:
-            if not kernel.is_stationary():
+            if not _is_isotropic(kernel):
                 raise ValueError(
                     f"kernel={kernel!r} does not depend on distances alone, which "
                     "centers='precomputed' needs; pass the states and a selector."
@@ -339,6 +339,13 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             outputs for a sample of a Gaussian process with this kernel and
             independent noise. It is too wide where they are smoother than that, and
             too narrow on a trajectory that differs from those of the training data.
+
+        Raises
+        ------
+        ValueError
+            If `X` has another number of columns than in `fit`, or negative distances;
+            with `return_std`, if the model was fitted to distances and loaded from a
+            pickle.
         """
         check_is_fitted(self)
         X = self._validated(X)
@@ -485,6 +492,17 @@ _REMEDY = (
     "Choose centres with a larger separation, lower beta, raise alpha, or take a less "
     "smooth kernel."
 )
+
+
+def _is_isotropic(kernel: Any) -> bool:
+    """Tell whether the kernel may be evaluated on a line, as a function of distance."""
+    if not kernel.is_stationary():
+        return False
+    try:
+        kernel(np.zeros((1, 1)), np.zeros((1, 1)))
+    except ValueError:  # one scale for each of several features
+        return False
+    return True
 
 
 def _merge_equal_rows(

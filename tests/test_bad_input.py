@@ -146,6 +146,12 @@ REFUSED = {
         Y,
         ["kernel=DotProduct", "distances", "centers='precomputed'"],
     ),
+    "precomputed with a scale for each feature": (
+        {"centers": "precomputed", "kernel": RBF([1.0, 2.0])},
+        DISTANCES,
+        Y,
+        ["kernel=RBF", "distances", "centers='precomputed'"],
+    ),
     "X with nan": ({}, NAN, Y, ["Input X contains NaN"]),
     "X infinite": ({}, INF, Y, ["Input X contains infinity"]),
     "y with nan": ({}, X, np.append(Y[1:], np.nan), ["Input y contains NaN"]),
