@@ -303,9 +303,9 @@ def least_squares(
             corner += product[panel.start :]
     trace = sum(float(np.trace(corner)) for corner in corners)
     # Along Q there is nothing: any number makes that part of the matrix regular.
-    along_Q = 0.0 if alpha > 0 else trace / M or 1.0
+    along_Q = trace / M or 1.0
     for panel, corner in zip(panels, corners, strict=True):
-        if q and along_Q:
+        if q:
             product = along_Q * basis.Q[: panel.stop] @ basis.Q[panel].T
             F[: panel.start, panel] += product[: panel.start]
             corner += product[panel.start :]
@@ -339,8 +339,9 @@ def least_squares(
     freedom = float(told.sum() + M - q)
     if alpha > 0:
         dpotri(F, lower=0, overwrite_c=1)
-        shrunk = F.diagonal().sum() - q / alpha + np.sum(inverse * (N_AT.T @ N_AT))
-        freedom -= alpha * float(shrunk)
+        shrunk = F.diagonal().sum() - q / (alpha + along_Q)
+        shrunk += np.sum(inverse * (N_AT.T @ N_AT))
+        freedom -= float(alpha * shrunk)
     np.fill_diagonal(F, factor_diagonal)
     return z, b, freedom
 

@@ -281,6 +281,20 @@ def test_no_weight_harms_the_trend(scattered, alpha):
     assert_allclose(model.predict(X_new), expected, rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.parametrize("trend", [None, "linear"])
+def test_a_vanishing_weight_is_none(scattered, trend):
+    X, y, X_new = scattered
+    none, tiny = (
+        KoopmanKernelRegressor(
+            centers=X[::4], method="least_squares", alpha=alpha, trend=trend
+        )
+        .fit(X, y)
+        .predict(X_new, return_std=True)
+        for alpha in (0.0, 1e-300)
+    )
+    assert_allclose(none, tiny, rtol=1e-10)
+
+
 def test_trend_is_that_of_all_rows_where_the_centres_are_few():
     rng = np.random.default_rng(6)
     X = rng.standard_normal((200, 10))
