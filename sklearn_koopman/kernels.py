@@ -404,7 +404,12 @@ class Gaussian(RadialKernel):  # numpydoc ignore=PR02
     -----
     The native space lies in every Sobolev space; the price is the worst conditioning
     of all kernels here. The smallest eigenvalue of the Gram matrix falls
-    exponentially with the separation of the centres.
+    exponentially with the separation of the centres ([1]_).
+
+    References
+    ----------
+    .. [1] H. Wendland, "Scattered Data Approximation", Cambridge University Press,
+       2004, Chapters 6 and 12.
 
     Examples
     --------
@@ -444,7 +449,12 @@ class InverseMultiquadric(RadialKernel):  # numpydoc ignore=PR02
     -----
     Positive definite in every dimension, with slow decay: estimates fall back to
     zero only gradually away from the centres. Its Fourier transform decays
-    exponentially, so that the native space lies in every Sobolev space.
+    exponentially, so that the native space lies in every Sobolev space ([1]_).
+
+    References
+    ----------
+    .. [1] H. Wendland, "Scattered Data Approximation", Cambridge University Press,
+       2004, Chapters 6 and 12.
 
     Examples
     --------
