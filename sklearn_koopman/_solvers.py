@@ -302,8 +302,9 @@ def least_squares(
             F[: panel.start, panel] += product[: panel.start]
             corner += product[panel.start :]
     trace = sum(float(np.trace(corner)) for corner in corners)
-    # Along Q there is nothing: any number makes that part of the matrix regular.
-    along_Q = trace / M or 1.0
+    # Along Q there is nothing but rounding: a number of the size that the rest may
+    # have, by |a(x)|^2 <= k(x, x), makes that part of the matrix regular.
+    along_Q = float(basis.sections.diagonal(X).sum()) / M or 1.0
     for panel, corner in zip(panels, corners, strict=True):
         if q:
             product = along_Q * basis.Q[: panel.stop] @ basis.Q[panel].T
@@ -313,7 +314,9 @@ def least_squares(
         F[panel, panel] = np.triu(corner) + np.tril(F[panel, panel], -1)
 
     _, info = dpotrf(F, lower=0, clean=0, overwrite_a=1)
-    rcond = 0.0 if info else float(dpocon(F, trace + M * alpha, uplo="U")[0])
+    rcond = (
+        0.0 if info else float(dpocon(F, trace + q * along_Q + M * alpha, uplo="U")[0])
+    )
     if info or rcond < min(1e-13, 1e-6 * basis.rcond):
         if basis.rcond < SUSPECT:
             raise np.linalg.LinAlgError("the normal matrix is not positive definite")

@@ -281,6 +281,22 @@ def test_no_weight_harms_the_trend(scattered, alpha):
     assert_allclose(model.predict(X_new), expected, rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.parametrize("alpha", [0.0, 0.1])
+def test_trend_alone_where_it_takes_every_centre(scattered, alpha):
+    """One centre and a constant, or three and a linear tail: no kernel part is left."""
+    X, y, X_new = scattered
+    options = {"method": "least_squares", "alpha": alpha}
+    constant = KoopmanKernelRegressor(centers=X[:1], trend="constant", **options)
+    assert_allclose(
+        constant.fit(X, y).predict(X_new),
+        np.broadcast_to(y.mean(axis=0), (40, 2)),
+        rtol=1e-9,
+    )
+    linear = KoopmanKernelRegressor(centers=X[:3], trend="linear", **options)
+    b = np.linalg.lstsq(monomials(X), y, rcond=None)[0]
+    assert_allclose(linear.fit(X, y).predict(X_new), monomials(X_new) @ b, rtol=1e-9)
+
+
 @pytest.mark.parametrize("trend", [None, "linear"])
 def test_a_vanishing_weight_is_none(scattered, trend):
     X, y, X_new = scattered
