@@ -29,9 +29,10 @@ Indices = NDArray[np.intp]
 # The loop of least squares stays with SciPy's BLAS: NumPy's wheels bring one of their
 # own, and the idle threads of either slow down the other several times.
 
-# Entries of a tile of a kernel matrix: half a megabyte, so that the few arrays that
-# evaluating a kernel takes stay in the cache.
-TILE = 2**16
+# Entries of a tile of a kernel matrix: 128 kB, so that the few arrays that evaluating
+# a kernel takes stay in the cache, and are not mapped anew by the operating system
+# (which makes larger ones two to three times as slow).
+TILE = 2**14
 # Below this reciprocal condition number a solution is verified before it is used.
 SUSPECT = 1e-10
 # Largest error, relative to the values to be met, that passes the verification. Large
@@ -511,7 +512,7 @@ def _tile_rows(n_columns: int) -> int:
 
 def _block_rows(n_columns: int) -> int:
     # A triangular solve reads the whole factor: more rows a time than in a tile.
-    return max(4 * TILE // n_columns, n_columns // 16, 1)
+    return max(16 * TILE // n_columns, n_columns // 16, 1)
 
 
 def _solve_triangular(
