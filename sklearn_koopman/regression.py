@@ -302,8 +302,9 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 f"{_REMEDY}"
             ) from error
         n_dropped = len(points) - len(solution.kept)
-        # A section that the others reproduce to sqrt(tolerance) changes a regularised
-        # fit by less than this part of its residuals: nothing to act upon.
+        # By |<r, e>| <= sqrt(n) |r| sup|e|, a section that the others reproduce to
+        # sqrt(tolerance) moves a regularised fit by about n tolerance / alpha of its
+        # residuals at the most: nothing to act upon.
         negligible = len(X) * tolerance <= 1e-5 * self.alpha
         if n_dropped and not (self.method == "least_squares" and negligible):
             warnings.warn(
