@@ -1,14 +1,19 @@
 """Koopman operators from motion data, as scikit-learn estimators."""
 
 from sklearn_koopman.centers import SeparatedCenterSelector
+from sklearn_koopman.edmd import KernelEDMD
 from sklearn_koopman.regression import KoopmanKernelRegressor
+from sklearn_koopman.scoring import forecast_score, valid_horizon
 from sklearn_koopman.trajectories import TrajectoryKFold, trajectory_pairs
 
 __all__ = [
+    "KernelEDMD",
     "KoopmanKernelRegressor",
     "SeparatedCenterSelector",
     "TrajectoryKFold",
+    "forecast_score",
     "trajectory_pairs",
+    "valid_horizon",
 ]
 
 __version__ = "0.1.0"

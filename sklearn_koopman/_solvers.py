@@ -169,14 +169,14 @@ class NativeBasis:
         P = np.empty((len(points), 0))
         if tail is not None:
             P = polynomial(points, tail.origin, tail.seen)
-            P = _solve_triangular(lower, P)
+            P = solve_triangular(lower, P)
         Q, R = np.linalg.qr(P)
         return cls(sections, lower, excess, rcond, tail, Q, R)
 
     def values(self, X: Array) -> tuple[Array, Array]:
         """Evaluate a(x), of shape (M, rows), and t(x), of shape (q, rows)."""
         K = matrix(self.sections, X, len(self.lower))
-        a = _solve_triangular(self.lower, K.T, overwrite=True)
+        a = solve_triangular(self.lower, K.T, overwrite=True)
         if self.tail is None:
             return a, np.empty((0, len(X)))
         p = polynomial(X, self.tail.origin, self.tail.seen)
@@ -191,12 +191,34 @@ class NativeBasis:
             variance += np.einsum("ij,ij->j", t, t)
         return np.maximum(variance, 0.0)
 
+    def functions(self, X: Array) -> Array:
+        """Evaluate a basis of all estimates, of shape (dimension, rows).
+
+        It is a(x) with the polynomials in the place of its part along Q, which makes
+        L^-1 u the coordinates of the interpolant of u; then the polynomials that the
+        centres do not see.
+        """
+        a, t = _design(self, X)
+        q = self.Q.shape[1]
+        return np.vstack([dgemm(1.0, self.Q, t[:q], 1.0, a), t[q:]]) if q else a
+
+    def coordinates(self, z: Array, b: Array) -> Array:
+        """Turn the coordinates z and b into those in the basis of `functions`."""
+        q = self.Q.shape[1]
+        return np.vstack([z + self.Q @ b[:q], b[q:]])
+
+    def expand(self, v: Array) -> tuple[Array, Array]:
+        """Turn coordinates into coefficients of the sections and of the monomials."""
+        M = len(self.lower)
+        b = self.Q.T @ v[:M]
+        return self.coefficients(v[:M] - self.Q @ b, np.vstack([b, v[M:]]))
+
     def coefficients(self, z: Array, b: Array) -> tuple[Array, Array]:
         """Turn coordinates into coefficients of the sections and of the monomials.
 
         Entries of b beyond q belong to the polynomials that the centres do not see.
         """
-        dual = _solve_triangular(self.lower, z, transpose=True)
+        dual = solve_triangular(self.lower, z, transpose=True)
         if not np.isfinite(dual).all():
             raise np.linalg.LinAlgError("the coefficients are not finite")
         if self.tail is None:
@@ -226,13 +248,13 @@ def interpolation(points: Array, u: Array) -> Rule:
     """Rule that interpolates u at the centres; meets u - E c with an excess E."""
 
     def solve(basis: NativeBasis, kept: Indices) -> Solution:
-        v = _solve_triangular(basis.lower, u[kept])
+        v = solve_triangular(basis.lower, u[kept])
         b = basis.Q.T @ v
         z = v - basis.Q @ b
         dual, trend = basis.coefficients(z, b)
         error = 0.0
         if basis.rcond < SUSPECT:
-            reached = _evaluated(basis, points[kept], dual, trend)
+            reached = evaluate(basis.sections, basis.tail, points[kept], dual, trend)
             reached += basis.excess[:, np.newaxis] * dual
             error = _relative_error(reached, u[kept])
         return Solution(
@@ -246,13 +268,13 @@ def regression(X: Array, y: Array, alpha: float) -> Rule:
     """Rule that fits y on all rows of X by least squares."""
 
     def solve(basis: NativeBasis, kept: Indices) -> Solution:
-        z, b, freedom = least_squares(basis, X, y, alpha)
+        z, b, freedom = least_squares(basis, X, y.__getitem__, y.shape[1], alpha)
         dual, trend = basis.coefficients(z, b)
         error = 0.0
         if basis.rcond < SUSPECT:
             rows = X[:: max(len(X) // 64, 1)]
             a, t = _design(basis, rows)
-            reached = _evaluated(basis, rows, dual, trend)
+            reached = evaluate(basis.sections, basis.tail, rows, dual, trend)
             error = _relative_error(reached, a.T @ z + t.T @ b)
         return Solution(basis, kept, dual, trend, column_norms(z), freedom, error)
 
@@ -260,11 +282,16 @@ def regression(X: Array, y: Array, alpha: float) -> Rule:
 
 
 def least_squares(
-    basis: NativeBasis, X: Array, y: Array, alpha: float
+    basis: NativeBasis,
+    X: Array,
+    y: Callable[[slice], Array],
+    n_outputs: int,
+    alpha: float,
 ) -> tuple[Array, Array, float]:
     """Minimise |y - g(X)|^2 + alpha |g|_H^2 over the functions of the basis.
 
-    With the values A of a(x), less their part along Q, and T of all polynomials on
+    `y` gives the values for a slice of the rows, so that many need not be held at
+    once. With the values A of a(x), less their part along Q, and T of all polynomials on
     the rows, the normal equations are
 
         [A A^T + alpha I   A T^T] [z]   [A y]
@@ -289,14 +316,15 @@ def least_squares(
     for panel in panels:
         F[: panel.start, panel] = 0.0
     n_terms = 0 if basis.tail is None else len(basis.tail.seen)
-    Ay, AT = np.zeros((M, y.shape[1])), np.zeros((M, n_terms))
-    Ty, TT = np.zeros((n_terms, y.shape[1])), np.zeros((n_terms, n_terms))
+    Ay, AT = np.zeros((M, n_outputs)), np.zeros((M, n_terms))
+    Ty, TT = np.zeros((n_terms, n_outputs)), np.zeros((n_terms, n_terms))
     for rows in gen_batches(len(X), _block_rows(M)):
         a, t = _design(basis, X[rows])
-        Ay += dgemm(1.0, a, y[rows])
+        values = y(rows)
+        Ay += dgemm(1.0, a, values)
         if n_terms:
             AT += dgemm(1.0, a, t, trans_b=1)
-            Ty += dgemm(1.0, t, y[rows])
+            Ty += dgemm(1.0, t, values)
             TT += dgemm(1.0, t, t, trans_b=1)
         for panel, corner in zip(panels, corners, strict=True):
             product = dgemm(1.0, a[: panel.stop], a[panel], trans_b=1)
@@ -463,12 +491,20 @@ def independent_centers(
 
 
 def evaluate(
-    sections: Sections, X: Array, dual: Array, n_jobs: int | None = None
+    sections: Sections,
+    tail: Tail | None,
+    X: Array,
+    dual: Array,
+    trend: Array,
+    n_jobs: int | None = None,
 ) -> Array:
-    """Evaluate k(X, Xi) @ dual without holding k(X, Xi)."""
-    return _by_rows(
+    """Evaluate k(X, Xi) @ dual without holding k(X, Xi), and add the polynomials."""
+    values = _by_rows(
         lambda rows: sections(rows) @ dual, X, _tile_rows(len(dual)), n_jobs
     )
+    if tail is not None:
+        values += polynomial(X, tail.origin, trend)
+    return values
 
 
 def power(basis: NativeBasis, X: Array, n_jobs: int | None = None) -> Array:
@@ -480,13 +516,6 @@ def power(basis: NativeBasis, X: Array, n_jobs: int | None = None) -> Array:
 def column_norms(A: Array) -> Array:
     """Return the Euclidean norms of the columns, whatever their unit."""
     return np.array([dnrm2(column) for column in A.T])
-
-
-def _evaluated(basis: NativeBasis, X: Array, dual: Array, trend: Array) -> Array:
-    values = evaluate(basis.sections, X, dual)
-    if basis.tail is not None:
-        values += polynomial(X, basis.tail.origin, trend)
-    return values
 
 
 def _relative_error(reached: Array, wanted: Array) -> float:
@@ -515,7 +544,7 @@ def _block_rows(n_columns: int) -> int:
     return max(16 * TILE // n_columns, n_columns // 16, 1)
 
 
-def _solve_triangular(
+def solve_triangular(
     lower: Array, b: Array, *, transpose: bool = False, overwrite: bool = False
 ) -> Array:
     x, info = dtrtrs(

@@ -462,11 +462,11 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     def _evaluate(self, X: Array) -> Array:
         dual = self.dual_coef_.reshape(len(self.dual_coef_), -1)
-        y = _solvers.evaluate(self._sections, X, dual, self.n_jobs)
-        if self._tail is not None:
-            trend = self.trend_coef_.reshape(len(self.trend_coef_), -1)
-            y += _solvers.polynomial(X, self._tail.origin, trend)
-        return y
+        trend = getattr(self, "trend_coef_", self.dual_coef_[:0])
+        trend = trend.reshape(len(trend), dual.shape[1])
+        return _solvers.evaluate(
+            self._sections, self._tail, X, dual, trend, self.n_jobs
+        )
 
     def _validated(self, X: Any) -> Array:
         X = validate_data(self, X, reset=False, dtype=np.float64)

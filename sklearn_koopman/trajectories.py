@@ -10,7 +10,7 @@ from sklearn.utils import Bunch, check_array, indexable
 
 from sklearn_koopman._validation import check_integer
 
-__all__ = ["TrajectoryKFold", "trajectory_pairs"]
+__all__ = ["TrajectoryKFold", "successor_rows", "trajectory_pairs"]
 
 
 def trajectory_pairs(
@@ -154,6 +154,57 @@ of them, default=None
         parts["sample_index"].append(clock + run * run_length + step)
         clock += lag * run_length
     return Bunch(**{name: np.concatenate(part) for name, part in parts.items()})
+
+
+def successor_rows(sample_index: Any) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Find the rows that follow each other on a trajectory.
+
+    Parameters
+    ----------
+    sample_index : array-like of shape (n_samples,)
+        The place of each row on its trajectory's clock, as
+        :func:`trajectory_pairs` gives it. The rows may be in any order.
+
+    Returns
+    -------
+    rows : ndarray of shape (n_links,)
+        The rows that have a successor, in rising order.
+    successors : ndarray of shape (n_links,)
+        For each of them the row whose index is one higher.
+
+    Raises
+    ------
+    ValueError
+        If the indices are not distinct integers.
+
+    Examples
+    --------
+    >>> from sklearn_koopman.trajectories import successor_rows
+    >>> successor_rows([7, 0, 2, 1])
+    (array([1, 3]), array([3, 2]))
+    """
+    index = np.asarray(sample_index)
+    if index.ndim != 1 or index.dtype.kind not in "iuf":
+        raise ValueError(
+            "sample_index must be a one-dimensional array of integers, got shape "
+            f"{index.shape} and dtype {index.dtype}."
+        )
+    if index.dtype.kind == "f" and not np.array_equal(index, np.floor(index)):
+        raise ValueError("sample_index must hold integers, got fractions, NaN or inf.")
+    order = np.argsort(index, kind="stable")
+    steps = np.diff(index[order].astype(np.int64))
+    equal = np.flatnonzero(steps == 0)
+    if len(equal):
+        first, second = order[equal[0]], order[equal[0] + 1]
+        raise ValueError(
+            f"sample_index must be distinct, but rows {first} and {second} both have "
+            f"{index[first]}; give each trajectory a range of its own, with a gap to "
+            "the next, as trajectory_pairs does."
+        )
+    linked = np.flatnonzero(steps == 1)
+    rows, successors = order[linked], order[linked + 1]
+    in_order = np.argsort(rows)
+    return rows[in_order], successors[in_order]
 
 
 def _as_trajectories(data: Any, name: str) -> list[NDArray[np.float64]]:

@@ -1,0 +1,284 @@
+"""Scores of forecasts over several steps, for cross-validation by trajectories."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.pipeline import Pipeline
+from sklearn.utils import check_array, check_consistent_length, gen_batches
+from sklearn.utils.metadata_routing import MetadataRequest
+
+from sklearn_koopman._validation import check_integer, check_number
+from sklearn_koopman.trajectories import successor_rows
+
+__all__ = ["forecast_score", "valid_horizon"]
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+# Entries of the forecasts that are held at once.
+BLOCK = 2**22
+
+
+def forecast_score(
+    n_steps: int,
+    *,
+    discount: float = 1.0,
+    relift: bool = False,
+    error_score: float = np.nan,
+) -> ForecastScorer:
+    """Make a scorer of the error of forecasts over a horizon.
+
+    The score is minus the root mean square error of the outputs, over all steps up to
+    `n_steps`, all rows that are followed by so many on a trajectory, and all outputs:
+
+    .. math:: -\\Big(\\frac{\\sum_{s=1}^{S} \\gamma^{s-1} \\, e_s^2}
+        {\\sum_{s=1}^{S} \\gamma^{s-1}}\\Big)^{1/2}
+
+    with the mean square error :math:`e_s^2` after s steps and the discount
+    :math:`\\gamma`.
+
+    Parameters
+    ----------
+    n_steps : int
+        The horizon S, in steps.
+    discount : float, default=1.0
+        Weight of each step relative to the one before, above 0 and at most 1.
+    relift : bool, default=False
+        Passed to :meth:`KernelEDMD.forecast`.
+    error_score : float, default=nan
+        The score of forecasts that leave the range of numbers.
+
+    Returns
+    -------
+    scorer : callable
+        To be called as ``scorer(estimator, X, y=None, sample_index=None)`` with a
+        fitted :class:`~sklearn_koopman.KernelEDMD` or a pipeline that ends in one, or
+        given as `scoring` to :class:`~sklearn.model_selection.GridSearchCV` and the
+        like. Without `y` the outputs are the states, as transformed by the pipeline.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is outside its range; from the scorer, if no row is followed by
+        enough others.
+
+    See Also
+    --------
+    valid_horizon : Counts the steps until the error passes a tolerance.
+
+    Notes
+    -----
+    The scorer has to know which of the held-out rows follow each other. With metadata
+    routing enabled, ``sample_index`` given to the ``fit`` of the search reaches both
+    the estimator and the scorer, and tells. Without, each row is followed by the next
+    one: where `y` holds some of the columns of the states, only if the next row
+    begins with these outputs (so that several held-out trajectories are told apart);
+    otherwise always, which is right if every fold leaves out one trajectory.
+
+    Examples
+    --------
+    >>> from sklearn.model_selection import GridSearchCV
+    >>> from sklearn_koopman import KernelEDMD, TrajectoryKFold, forecast_score
+    >>> from sklearn_koopman.datasets import make_pendulum
+    >>> pendulum = make_pendulum(40, initial=[[0, 1.0], [0, 1.5], [0, 2.0]])
+    >>> search = GridSearchCV(
+    ...     KernelEDMD(trend="linear", n_modes=0),
+    ...     {"beta": [0.1, 10.0]},
+    ...     scoring=forecast_score(20),
+    ...     cv=TrajectoryKFold(3),
+    ... )
+    >>> search = search.fit(
+    ...     pendulum.X, pendulum.X_next, groups=pendulum.groups,
+    ...     sample_index=pendulum.sample_index,
+    ... )
+    >>> search.best_params_
+    {'beta': 10.0}
+    """
+    check_integer(n_steps, "n_steps", 1)
+    check_number(discount, "discount", positive=True)
+    if discount > 1:
+        raise ValueError(f"discount must be at most 1, got {discount!r}.")
+    return _HorizonError(n_steps, relift, float(discount), error_score)
+
+
+def valid_horizon(
+    n_steps: int, tolerance: float, *, relift: bool = False
+) -> ForecastScorer:
+    """Make a scorer that counts the steps until the error passes a tolerance.
+
+    The score is the number of steps before the error of a forecast, the Euclidean
+    distance of predicted and true outputs, first exceeds `tolerance`: `n_steps` if it
+    never does. It is averaged over all rows that are followed by so many on a
+    trajectory.
+
+    Parameters
+    ----------
+    n_steps : int
+        The most steps that are counted.
+    tolerance : float
+        The largest error that is tolerated, in the unit of the outputs.
+    relift : bool, default=False
+        Passed to :meth:`KernelEDMD.forecast`.
+
+    Returns
+    -------
+    scorer : callable
+        To be used as that of :func:`forecast_score`.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is outside its range; from the scorer, if no row is followed by
+        enough others.
+
+    See Also
+    --------
+    forecast_score : The error over a horizon.
+
+    Examples
+    --------
+    >>> from sklearn_koopman import KernelEDMD, valid_horizon
+    >>> from sklearn_koopman.datasets import make_pendulum
+    >>> pendulum = make_pendulum(300)
+    >>> model = KernelEDMD("wendland_c4", beta=4.0).fit(pendulum.X[:90])
+    >>> valid_horizon(100, tolerance=0.01)(model, pendulum.X)
+    100.0
+    """
+    check_integer(n_steps, "n_steps", 1)
+    check_number(tolerance, "tolerance", positive=True)
+    return _ValidHorizon(n_steps, relift, float(tolerance))
+
+
+@dataclass(frozen=True)
+class ForecastScorer:
+    """Compares forecasts with what followed; see :func:`forecast_score`."""
+
+    n_steps: int
+    relift: bool
+
+    def __call__(
+        self, estimator: Any, X: Any, y: Any = None, sample_index: Any = None
+    ) -> float:
+        """Score a fitted estimator on held-out rows.
+
+        Parameters
+        ----------
+        estimator : KernelEDMD or Pipeline
+            The fitted estimator.
+        X : array-like of shape (n_samples, n_features)
+            The states.
+        y : array-like of shape (n_samples,) or (n_samples, n_outputs), default=None
+            The outputs one step after each row.
+        sample_index : array-like of shape (n_samples,), default=None
+            The place of each row on its trajectory's clock.
+
+        Returns
+        -------
+        score : float
+            Greater is better.
+        """
+        check_consistent_length(X, y, sample_index)
+        following = _following(X, y, sample_index)
+        operator = estimator
+        if isinstance(estimator, Pipeline):
+            X, operator = estimator[:-1].transform(X), estimator[-1]
+        if not hasattr(operator, "forecast"):
+            raise TypeError(
+                f"{type(operator).__name__} has no method forecast; score a KernelEDMD, "
+                "or a pipeline that ends in one."
+            )
+        X = check_array(X, dtype=np.float64)
+        # Row i holds the outputs of the steps after i: its own, if y is given.
+        chain = [np.arange(len(X))]
+        for _ in range(self.n_steps if y is None else self.n_steps - 1):
+            chain.append(np.where(chain[-1] < 0, -1, following[chain[-1]]))
+        steps = np.column_stack(chain[1:] if y is None else chain)
+        starts = np.flatnonzero(steps[:, -1] >= 0)
+        if len(starts) == 0:
+            raise ValueError(
+                f"n_steps={self.n_steps}: none of the {len(X)} held-out rows is followed "
+                "by so many on its trajectory; lower n_steps, or leave out whole "
+                "trajectories (TrajectoryKFold)."
+            )
+        outputs = X if y is None else check_array(y, dtype=np.float64, ensure_2d=False)
+        outputs = outputs.reshape(len(X), -1)
+        size = max(BLOCK // (self.n_steps * outputs.shape[1]), 1)
+        errors = []
+        for batch in gen_batches(len(starts), size):
+            rows = starts[batch]
+            with warnings.catch_warnings():
+                # What has diverged shows in the score.
+                warnings.simplefilter("ignore", RuntimeWarning)
+                y_pred = operator.forecast(X[rows], self.n_steps, relift=self.relift)
+            difference = y_pred.reshape(len(rows), self.n_steps, -1)
+            difference = difference - outputs[steps[rows]]
+            with np.errstate(over="ignore", invalid="ignore"):
+                errors.append(np.square(difference).sum(axis=2))
+        return self._score(np.concatenate(errors), outputs.shape[1])
+
+    def get_metadata_routing(self) -> MetadataRequest:
+        """Ask for `sample_index`, which tells what rows follow each other.
+
+        Returns
+        -------
+        routing : MetadataRequest
+            The request.
+        """
+        request = MetadataRequest(owner=self)
+        request.score.add_request(param="sample_index", alias=True)
+        return request
+
+    def _score(self, squared: Array, n_outputs: int) -> float:
+        """Turn squared distances of shape (n_starts, n_steps) into a score."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class _HorizonError(ForecastScorer):
+    discount: float
+    error_score: float
+
+    def _score(self, squared: Array, n_outputs: int) -> float:
+        weights = self.discount ** np.arange(self.n_steps)
+        mean = np.average(squared.mean(axis=0), weights=weights)
+        if not np.isfinite(mean):
+            return self.error_score
+        return -float(np.sqrt(mean / n_outputs))
+
+
+@dataclass(frozen=True)
+class _ValidHorizon(ForecastScorer):
+    tolerance: float
+
+    def _score(self, squared: Array, n_outputs: int) -> float:
+        # NaN is no error that is tolerated.
+        within = squared <= self.tolerance**2
+        return float(np.logical_and.accumulate(within, axis=1).sum(axis=1).mean())
+
+
+def _following(X: Any, y: Any, sample_index: Any) -> Indices:
+    """Return which row follows each row, -1 for none."""
+    n = np.shape(X)[0]
+    following = np.full(n, -1)
+    if sample_index is not None:
+        rows, successors = successor_rows(sample_index)
+        following[rows] = successors
+        return following
+    following[:-1] = np.arange(1, n)
+    states = np.asarray(X)
+    if y is not None and states.dtype.kind in "iuf":
+        outputs = np.asarray(y).reshape(n, -1)
+        width = outputs.shape[1]
+        for first in range(states.shape[1] - width + 1):
+            seen = states[1:, first : first + width] == outputs[:-1]
+            follows = seen.all(axis=1)
+            if follows.mean() > 0.5:
+                following[:-1][~follows] = -1
+                break
+    return following
+
