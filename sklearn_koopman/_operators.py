@@ -25,7 +25,6 @@ from scipy.linalg.lapack import (
     dgeev_lwork,
     dgetrf,
     dgetrs,
-    dlange,
     dtrtri,
 )
 from scipy.optimize import linear_sum_assignment
@@ -39,6 +38,7 @@ from sklearn_koopman._solvers import (
     least_squares,
     solve_triangular,
 )
+from sklearn_koopman.centers import group_means
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -120,20 +120,22 @@ def regressed(
 
 
 def interpolated_operator(
-    basis: NativeBasis, X_next: Array, targets: Array, groups: list[Indices]
+    basis: NativeBasis, X_next: Array, targets: Array, rows: Indices, group: Indices
 ) -> tuple[Array, Array]:
     """Interpolate what the operator makes of the basis, and the targets, at centres.
 
-    `groups` holds the rows that each centre gets its values from: their mean. Returns
-    the matrix of the operator and the coordinates of the targets.
+    The centres are the given `rows`, and take the mean over all rows of their group.
+    Returns the matrix of the operator and the coordinates of the targets.
     """
-    M = len(basis.lower)
-    rows = np.concatenate(groups)
-    values = np.hstack([basis.functions(X_next[rows])[:M].T, targets[rows]])
-    if len(rows) > M:
-        lengths = np.array([len(group) for group in groups])
-        values = np.add.reduceat(values, np.cumsum(lengths) - lengths, axis=0)
-        values /= lengths[:, np.newaxis]
+    M = len(rows)
+    lot = np.full(group.max() + 1, -1)
+    lot[group[rows]] = np.arange(M)
+    sources = rows
+    if (lot[group] >= 0).sum() > M:
+        sources = np.flatnonzero(lot[group] >= 0)
+    values = np.hstack([basis.functions(X_next[sources])[:M].T, targets[sources]])
+    if len(sources) > M:
+        values = group_means(values, lot[group[sources]])
     image = solve_triangular(basis.lower, values)
     return image[:, :M], image[:, M:]
 
@@ -171,6 +173,11 @@ def spectrum(matrix: Array) -> tuple[Complex, Array]:
 def match(eigenvalues: Complex, others: Complex) -> Indices:
     """Find given eigenvalues among others that are the same up to rounding."""
     wanted, offered = (np.flatnonzero(e.imag >= 0) for e in (eigenvalues, others))
+    if len(wanted) != len(offered):
+        raise np.linalg.LinAlgError(
+            "this machine finds other eigenvalues than the one that the model was "
+            "fitted on; fit again, or with n_modes, which stores the eigenfunctions"
+        )
     distance = np.abs(eigenvalues[wanted, np.newaxis] - others[offered])
     found = offered[linear_sum_assignment(distance)[1]]
     order = np.empty(len(eigenvalues), dtype=np.intp)
@@ -194,7 +201,7 @@ def expansion(
         Estimate of the reciprocal condition number of the eigenvectors.
     """
     lu, pivots, _ = dgetrf(vectors)
-    rcond, _ = dgecon(lu, dlange("1", vectors))
+    rcond, _ = dgecon(lu, np.linalg.norm(vectors, 1))
     if rcond > np.finfo(float).eps:
         weights, _ = dgetrs(lu, pivots, targets)
     else:
@@ -207,17 +214,15 @@ def left_out_errors(basis: NativeBasis, dual: Array) -> Array:
 
     The interpolant with coefficients c misses the value at centre i by c_i / H_ii if
     that centre is left out, where H is the matrix that takes values at the centres to
-    coefficients: the inverse of K, or of K bordered by the polynomials. Infinite where
-    the others do not determine an interpolant.
+    coefficients: the inverse of K, or of K bordered by the polynomials. Centres without
+    which no interpolant is determined are passed over.
     """
     inverse, _ = dtrtri(np.tril(basis.lower), lower=1)
     diagonal = np.einsum("ij,ij->j", inverse, inverse)
     along = dgemm(1.0, basis.Q, inverse, trans_a=1)
     left = diagonal - np.einsum("ij,ij->j", along, along)
-    undetermined = left <= 1e-10 * diagonal
-    errors = dual / np.where(undetermined, 1.0, left)[:, np.newaxis]
-    errors[undetermined] = np.inf
-    return errors
+    determined = left > 1e-10 * diagonal
+    return np.asarray(dual[determined] / left[determined, np.newaxis])
 
 
 def measure(
@@ -278,9 +283,9 @@ def analyse(
     """Find the eigenfunctions, their residuals, and the expansion of targets.
 
     If fewer than all eigenfunctions are asked for, the expansion is the best one in
-    mean square over the rows. The residuals are measured on the rows that are `counted`, those that no
-    interpolation condition makes vanish, or by leaving out one centre at a time if
-    these are fewer than the centres.
+    mean square over the rows. The residuals are measured on the rows that are
+    `counted`, those where no interpolation condition makes them vanish, or by leaving
+    out one centre at a time if these are fewer than the centres.
     """
     eigenvalues, vectors = spectrum(matrix)
     weights, rcond = expansion(vectors, eigenvalues, targets)
@@ -289,7 +294,9 @@ def analyse(
     if counted.sum() < len(basis.lower):
         errors = unpack(left_out_errors(basis, found.dual), eigenvalues)
         errors *= eigenvalues
-        defect = np.sqrt(np.square(np.abs(errors)).mean(axis=0))
+        defect = np.full(len(eigenvalues), np.inf)
+        if len(errors):
+            defect = np.sqrt(np.square(np.abs(errors)).mean(axis=0))
     residuals = _ratio(defect, size)
     # Conjugate eigenvalues tie, and a stable sort leaves them side by side.
     order = np.argsort(_ratio(residuals, np.abs(eigenvalues)), kind="stable")
@@ -309,9 +316,7 @@ def analyse(
         weights = best_weights(basis, found.take(order), targets, X)
     else:
         weights = weights[order]
-    return Analysis(
-        found.take(order), factors[order], residuals[order], weights, rcond
-    )
+    return Analysis(found.take(order), factors[order], residuals[order], weights, rcond)
 
 
 def best_weights(

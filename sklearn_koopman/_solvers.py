@@ -291,8 +291,8 @@ def least_squares(
     """Minimise |y - g(X)|^2 + alpha |g|_H^2 over the functions of the basis.
 
     `y` gives the values for a slice of the rows, so that many need not be held at
-    once. With the values A of a(x), less their part along Q, and T of all polynomials on
-    the rows, the normal equations are
+    once. With the values A of a(x), less their part along Q, and T of all polynomials
+    on the rows, the normal equations are
 
         [A A^T + alpha I   A T^T] [z]   [A y]
         [    T A^T         T T^T] [b] = [T y]

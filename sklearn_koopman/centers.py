@@ -378,6 +378,28 @@ def distinct_rows(X: Array) -> tuple[Indices, Indices, Indices]:
     return first[order], rank[group.reshape(-1)], counts[order]
 
 
+def group_means(values: Array, group: Indices) -> Array:
+    """Average the rows of each group.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n_samples, n_columns)
+        The rows.
+    group : ndarray of shape (n_samples,)
+        The number of the group that each row belongs to, as `distinct_rows` gives it.
+
+    Returns
+    -------
+    means : ndarray of shape (n_groups, n_columns)
+        The mean of each group.
+    """
+    counts = np.bincount(group)
+    means = np.zeros((len(counts), values.shape[1]))
+    np.add.at(means, group, values)
+    means /= counts[:, np.newaxis]
+    return means
+
+
 def rows_at_distance_zero(distances: Array) -> Indices:
     """Find the centres among the rows, given the distances of the rows to them.
 

@@ -15,7 +15,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_koopman import _operators, _solvers
 from sklearn_koopman._validation import check_integer, check_number
-from sklearn_koopman.centers import distinct_rows
+from sklearn_koopman.centers import distinct_rows, group_means
 from sklearn_koopman.regression import KoopmanKernelRegressor
 from sklearn_koopman.trajectories import successor_rows
 
@@ -33,7 +33,169 @@ DIVERGED = 1e3
 
 
 class KernelEDMD(MultiOutputMixin, RegressorMixin, BaseEstimator):
-    """TODO"""
+    """Kernel estimate of the Koopman operator, with its spectrum and its forecasts.
+
+    States follow an unknown map, x_{k+1} = f(x_k). The Koopman operator of the map
+    takes a function g of the state to
+
+    .. math:: (U_f g)(x) = g(f(x)).
+
+    It is linear whatever f is, its powers look many steps ahead, and its eigenfunctions
+    evolve by a factor a step, so that they separate a motion into growth rates and
+    frequencies. This estimates it on the span of the sections k(., xi_i) of a kernel at
+    M centres xi_i (and the polynomials of a `trend`), as
+
+    - the operator :math:`U_f^M g = \\Pi_M((\\Pi_M g) \\circ f)` of [1]_ by
+      interpolation at the centres: with K = k(Xi, Xi) and K+ = k(f(Xi), Xi), one step
+      multiplies the coefficients of the sections by :math:`K^{-1} K^+`; or as
+    - extended dynamic mode decomposition (EDMD) with these functions as dictionary, by
+      least squares over all pairs of a state and its successor. With as many pairs as
+      centres both are the same, which is [1]_'s theorem on the EDMD algorithm.
+
+    Outputs y = G(x) are predicted from the interpolant, or the fit, of the pairs of a
+    state and the output one step later. This is :math:`\\Pi_M (U_f G)`, the estimate of
+    :class:`KoopmanKernelRegressor`, and more accurate than :math:`U_f^M G`, which
+    approximates G first. The powers of the operator take it further.
+
+    Parameters
+    ----------
+    kernel : str or Kernel, default="matern32"
+        As for :class:`KoopmanKernelRegressor`.
+    beta : float, default=None
+        Scale of the kernel in the unit of the states. None leaves that of the kernel
+        object, and means 1 for a name.
+    centers : None, array-like of shape (n_centers, n_features) or estimator, \
+default=None
+        Where the kernel sections are centred, among the rows that have a successor: at
+        every distinct one, at given states, or at those that a clone of a selector such
+        as :class:`SeparatedCenterSelector` chooses of them.
+    method : {"interpolation", "least_squares"}, default="interpolation"
+        Whether the operator is made from the successors of the centres, which have to
+        be rows of `X`, or from those of all rows. Take least squares for noisy states.
+    alpha : float, default=0.0
+        Weight of the squared native-space norm against the squared residuals.
+    trend : {None, "constant", "linear"}, default=None
+        Polynomials that join the sections. With "linear" the constant and the state
+        itself are in the dictionary, so that a linear map is found exactly.
+    n_modes : int, default=None
+        How many eigenfunctions make up the model.
+
+        - None: all. The whole operator is kept, and pickled, as a matrix.
+        - a number: the most trustworthy ones (in the order of `eigenvalues_`), and one
+          more where that would tear a conjugate pair. Predictions and forecasts are
+          those of the reduced model, which is small.
+        - 0: the whole operator without its spectrum, which takes most of the time of a
+          fit with many centres; for forecasts, and for searches by `forecast_score`.
+    solver : {"auto", "cholesky"}, default="auto"
+        What happens where the Gram matrix is not numerically positive definite: a
+        pivoted Cholesky factorisation leaves out the centres that depend on others,
+        with a warning, or an error. `rank_` tells what is left.
+    n_jobs : int, default=None
+        Number of threads for predictions. None means 1 unless in a
+        :obj:`joblib.parallel_backend` context, -1 means all processors.
+
+    Attributes
+    ----------
+    koopman_matrix_ : ndarray of shape (rank_, rank_)
+        The operator in coordinates: that of the functions which the sections become
+        when the Cholesky factor of their Gram matrix, :math:`K = L L^T`, makes them
+        orthonormal in the native space. Without a trend it is :math:`L^T (K^{-1} K^+)
+        L^{-T}` for interpolation, similar to the matrix that acts on coefficients but
+        as well conditioned as the operator is. With `n_modes`, the block-diagonal
+        matrix that acts on the real and imaginary parts of the eigenfunctions kept.
+    eigenvalues_ : ndarray of shape (n_modes,), complex
+        In the order of rising ``residuals_ / abs(eigenvalues_)``, the most trustworthy
+        first; conjugate pairs side by side, the one with positive imaginary part first.
+    residuals_ : ndarray of shape (n_modes,)
+        How far each eigenpair is from one of the true operator, in mean square over the
+        data [2]_: the root of
+
+        .. math:: \\frac{\\sum_i |\\phi(f(x_i)) - \\lambda \\phi(x_i)|^2}
+            {\\sum_i |\\phi(x_i)|^2}
+
+        up to the numbers of terms. For least squares the sums are over all pairs. An
+        interpolant has no such error at its centres: there the upper sum is over the
+        other rows or, where these are fewer than the centres, over the errors at each
+        centre of the estimate made without it. Eigenvalues whose residual is not small
+        are spurious. (For random f the residual of a true one is not small, either: it
+        is the root of ``1 - abs(lambda) ** 2`` in a stationary process.)
+    modes_ : ndarray of shape (n_modes,) or (n_modes, n_outputs), complex
+        Koopman modes: the expansion of the outputs in eigenfunctions, so that
+        ``(eigenfunctions(X) * eigenvalues_ ** s) @ modes_`` is the forecast for s steps
+        ahead (with s = 0, it stands for the present outputs). Zero where the eigenvalue
+        is zero.
+    rank_ : int
+        The number of functions that the operator acts on: the centres that are not
+        numerically dependent on others and, for least squares, the polynomials that
+        they do not determine.
+    rcond_ : float
+        Estimate of the reciprocal condition number of the Gram matrix.
+    centers_ : ndarray of shape (n_centers, n_features)
+        The centres.
+    center_indices_ : ndarray of shape (n_centers,) or None
+        The rows of `X` that are centres; None for centres given from elsewhere.
+    kernel_ : Kernel
+        The kernel, with its scale and dimension.
+    regressor_ : KoopmanKernelRegressor
+        The estimate one step ahead of the outputs, if any were given, and behind them
+        of the states: for its power function and standard deviation.
+    n_features_in_ : int
+        Number of features seen during `fit`.
+    feature_names_in_ : ndarray of shape (n_features_in_,)
+        Names of the features, where `X` had string names.
+
+    See Also
+    --------
+    KoopmanKernelRegressor : One step ahead only, without the operator.
+    forecast_score : Scores forecasts in cross-validation.
+
+    Notes
+    -----
+    The interpolant of G itself at the successors f(Xi) has the coefficients
+    :math:`k(f(\\Xi), f(\\Xi))^{-1} u` for the outputs u of the centres ([1]_, theorem
+    on the pullback space); ``KoopmanKernelRegressor().fit(X_next, y)`` gives it. If it
+    is the inner projection of :math:`U_f^M G`, with the values u at the successors, the
+    outer one has the coefficients :math:`K^{-1} u`: those of the prediction here.
+
+    Equal states with different successors belong to a random map, whose operator takes
+    the mean over its outcomes. Least squares does so, as does interpolation where every
+    row is a centre; with a selector, or given centres, it takes the first of equal
+    rows.
+
+    With metadata routing enabled, `X_next` and `sample_index` are passed on by
+    pipelines and searches without a call of `set_fit_request`. A scaler in front
+    transforms `X_next` only if told to: ``Pipeline(steps,
+    transform_input=["X_next"])``; `sample_index` needs no such care.
+
+    References
+    ----------
+    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
+       of Animal Motions over Unknown Submanifolds".
+    .. [2] M. J. Colbrook and A. Townsend, "Rigorous data-driven computation of
+       spectral properties of Koopman operators for dynamical systems",
+       Communications on Pure and Applied Mathematics 77, 2024.
+    .. [3] M. O. Williams, I. G. Kevrekidis and C. W. Rowley, "A data-driven
+       approximation of the Koopman operator: extending dynamic mode decomposition",
+       Journal of Nonlinear Science 25, 2015.
+
+    Examples
+    --------
+    A pendulum swings with one frequency and its harmonics:
+
+    >>> from sklearn_koopman import KernelEDMD, SeparatedCenterSelector
+    >>> from sklearn_koopman.datasets import make_pendulum
+    >>> pendulum = make_pendulum(n_samples=256, step=0.1)
+    >>> model = KernelEDMD(
+    ...     kernel="wendland_c4", beta=4.0, centers=SeparatedCenterSelector(0.23)
+    ... ).fit(pendulum.X, X_next=pendulum.X_next)
+    >>> growth_rates, frequencies = model.continuous_eigenvalues(dt=0.1)
+    >>> frequencies[:5].round(4)
+    array([ 0.    ,  0.1198, -0.1198,  0.2396, -0.2396])
+    >>> bool(model.residuals_[:5].max() < 1e-3)
+    True
+    >>> model.forecast(pendulum.X[:2], n_steps=100).shape
+    (2, 100, 2)
+    """
 
     # Rows of metadata that mean one thing only: asked for without set_fit_request.
     __metadata_request__fit = {"X_next": True, "sample_index": True}
@@ -95,8 +257,7 @@ class KernelEDMD(MultiOutputMixin, RegressorMixin, BaseEstimator):
         ValueError
             If a parameter is outside its range; if both `X_next` and `sample_index`
             are given; if no row has a successor; if a centre is no row with a
-            successor where interpolation needs it; if equal rows have different
-            outputs or successors and ``alpha=0``; if ``solver="cholesky"`` meets a
+            successor where interpolation needs it; if ``solver="cholesky"`` meets a
             Gram matrix that is not positive definite.
 
         Warns
@@ -133,9 +294,10 @@ class KernelEDMD(MultiOutputMixin, RegressorMixin, BaseEstimator):
         # Outputs of states without a successor: least squares has a use for them.
         more = y is not None and self.method == "least_squares" and len(here) < len(X)
 
+        first, group, _ = distinct_rows(linked)
         centers = self.centers
         if more and centers is None:
-            centers = linked[distinct_rows(linked)[0]]
+            centers = linked[first]
         regressor = KoopmanKernelRegressor(
             self.kernel,
             beta=self.beta,
@@ -146,6 +308,10 @@ class KernelEDMD(MultiOutputMixin, RegressorMixin, BaseEstimator):
             solver=self.solver,
             n_jobs=self.n_jobs,
         )
+        if centers is None:
+            # Where equal states have different successors, the map is random, and its
+            # operator takes the mean.
+            targets = group_means(targets, group)[group]
         try:
             regressor.fit(linked, targets)
         except ValueError as error:
@@ -157,18 +323,13 @@ class KernelEDMD(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
         basis = regressor._native_basis()
         if self.method == "interpolation" or centers is None:
-            rows = regressor.center_indices_
-            _, group, sizes = distinct_rows(linked)
+            rows = np.asarray(regressor.center_indices_)
+            lots = group if centers is None else np.arange(len(linked))
+            matrix, coordinates = _operators.interpolated_operator(
+                basis, X_next, targets, rows, lots
+            )
             # The rows apart from the centres tell how good eigenfunctions are.
             counted = ~np.isin(group, group[rows])
-            if centers is None:  # the mean of equal rows counts
-                lots = np.split(np.argsort(group, kind="stable"), np.cumsum(sizes)[:-1])
-                sources = [lots[i] for i in group[rows]]
-            else:
-                sources = list(rows[:, np.newaxis])
-            matrix, coordinates = _operators.interpolated_operator(
-                basis, X_next, targets, sources
-            )
         else:
             counted = np.ones(len(linked), dtype=bool)
             matrix, coordinates = _operators.regressed_operator(
@@ -262,8 +423,8 @@ class KernelEDMD(MultiOutputMixin, RegressorMixin, BaseEstimator):
         diverged = ~fine.all(axis=2)
         if diverged.any():
             warnings.warn(
-                f"{diverged.any(axis=1).sum()} of {len(X)} forecasts diverge, the first "
-                f"after {diverged.any(axis=0).argmax() + 1} steps: they exceed the "
+                f"{diverged.any(axis=1).sum()} of {len(X)} forecasts diverge, the "
+                f"first at step {diverged.any(axis=0).argmax() + 1}: they exceed the "
                 f"training data {DIVERGED:g} times. Forecast fewer steps, set "
                 "relift=True, or fit with method='least_squares', alpha > 0 or fewer "
                 "n_modes.",
@@ -285,6 +446,11 @@ class KernelEDMD(MultiOutputMixin, RegressorMixin, BaseEstimator):
         phi : ndarray of shape (n_samples, n_modes), complex
             Eigenfunctions in the order of `eigenvalues_`, of mean square one over the
             training data, and real and positive at its first row.
+
+        Raises
+        ------
+        ValueError
+            If the model was fitted with ``n_modes=0``.
         """
         check_is_fitted(self)
         X = validate_data(self, X, reset=False, dtype=np.float64)
@@ -335,12 +501,12 @@ class KernelEDMD(MultiOutputMixin, RegressorMixin, BaseEstimator):
         analysis: _operators.Analysis | None,
     ) -> None:
         """Store the operator, or what `n_modes` leaves of it."""
+        self.__dict__.pop("_eigenfunctions", None)
         n_outputs = len(self._limit)
         self.koopman_matrix_ = matrix
         self._start: Array | None = coordinates[:, :n_outputs]
         self._dual, self._trend = self.regressor_._native_basis().expand(coordinates)
         if analysis is None:
-            self._eigenfunctions = None
             self.eigenvalues_ = np.empty(0, dtype=np.complex128)
             self.residuals_ = np.empty(0)
             self.modes_ = np.empty((0, *self._output_shape), dtype=np.complex128)
@@ -365,6 +531,11 @@ class KernelEDMD(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     def _found(self) -> _operators.Eigenfunctions:
         """Return the eigenfunctions, found anew if they were not pickled."""
+        if self.n_modes == 0:
+            raise ValueError(
+                "n_modes=0 has left the spectrum out; fit with n_modes=None, or with as "
+                "many as you need."
+            )
         if not hasattr(self, "_eigenfunctions"):
             basis = self.regressor_._native_basis()
             eigenvalues, vectors = _operators.spectrum(self.koopman_matrix_)
@@ -398,6 +569,7 @@ class KernelEDMD(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 y[rows, steps] = (phi @ packed).reshape(len(phi), -1, y.shape[2])
 
     def _apply_powers(self, X: Array, y: Array) -> None:
+        assert self._start is not None
         basis = self.regressor_._native_basis()
         images = _operators.powers(self.koopman_matrix_, self._start)
         for steps in self._later_steps(y):
@@ -481,9 +653,9 @@ def _on_another_scale(X: Array, X_next: Array) -> bool:
 
     Along a trajectory the successor of a row is the next row. If instead it is an
     affine function of the next row, feature by feature, most of the time and up to
-    rounding, then one of them has been scaled. Where rows do not follow each other, only
-    a gross difference tells: most successors far outside the range of the states, or
-    all of their features a hundred times less spread.
+    rounding, then one of them has been scaled. Where rows do not follow each other,
+    only a gross difference tells: most successors far outside the range of the states,
+    or all of their features a hundred times less spread.
     """
     low, high = X.min(axis=0), X.max(axis=0)
     center, reach = (low + high) / 2, (high - low) / 2

@@ -18,6 +18,7 @@ from sklearn_koopman.centers import (
     check_distances,
     choose_centers,
     distinct_rows,
+    group_means,
     rows_at_distance_zero,
 )
 from sklearn_koopman.kernels import as_kernel
@@ -513,9 +514,7 @@ def _merge_equal_rows(
     rows, group, counts = distinct_rows(X)
     if len(rows) == len(X):
         return rows, y, counts
-    mean = np.zeros((len(rows), y.shape[1]))
-    np.add.at(mean, group, y)
-    mean /= counts[:, np.newaxis]
+    mean = group_means(y, group)
     deviation = np.abs(y - mean[group]).max(axis=1)
     worst = int(deviation.argmax())
     if exact and deviation[worst] > 1e-10 * np.abs(y).max():

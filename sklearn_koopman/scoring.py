@@ -189,8 +189,8 @@ class ForecastScorer:
             X, operator = estimator[:-1].transform(X), estimator[-1]
         if not hasattr(operator, "forecast"):
             raise TypeError(
-                f"{type(operator).__name__} has no method forecast; score a KernelEDMD, "
-                "or a pipeline that ends in one."
+                f"{type(operator).__name__} has no method forecast; score a "
+                "KernelEDMD, or a pipeline that ends in one."
             )
         X = check_array(X, dtype=np.float64)
         # Row i holds the outputs of the steps after i: its own, if y is given.
@@ -201,9 +201,9 @@ class ForecastScorer:
         starts = np.flatnonzero(steps[:, -1] >= 0)
         if len(starts) == 0:
             raise ValueError(
-                f"n_steps={self.n_steps}: none of the {len(X)} held-out rows is followed "
-                "by so many on its trajectory; lower n_steps, or leave out whole "
-                "trajectories (TrajectoryKFold)."
+                f"n_steps={self.n_steps}: none of the {len(X)} held-out rows is "
+                "followed by so many on its trajectory; lower n_steps, or leave out "
+                "whole trajectories (TrajectoryKFold)."
             )
         outputs = X if y is None else check_array(y, dtype=np.float64, ensure_2d=False)
         outputs = outputs.reshape(len(X), -1)
@@ -281,4 +281,3 @@ def _following(X: Any, y: Any, sample_index: Any) -> Indices:
                 following[:-1][~follows] = -1
                 break
     return following
-
