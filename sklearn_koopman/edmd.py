@@ -350,8 +350,9 @@ default=None
         self.regressor_ = regressor
         self.kernel_ = regressor.kernel_
         self.centers_ = regressor.centers_
-        rows = regressor.center_indices_
-        self.center_indices_ = None if rows is None else here[rows]
+        self.center_indices_ = regressor.center_indices_
+        if self.center_indices_ is not None:
+            self.center_indices_ = here[self.center_indices_]
         self.rcond_ = regressor.rcond_
         self.rank_ = len(matrix)
         self._output_shape = (X if y is None else y).shape[1:]
@@ -533,8 +534,8 @@ default=None
         """Return the eigenfunctions, found anew if they were not pickled."""
         if self.n_modes == 0:
             raise ValueError(
-                "n_modes=0 has left the spectrum out; fit with n_modes=None, or with as "
-                "many as you need."
+                "n_modes=0 has left the spectrum out; fit with n_modes=None, or with "
+                "as many as you need."
             )
         if not hasattr(self, "_eigenfunctions"):
             basis = self.regressor_._native_basis()
