@@ -15,7 +15,11 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_koopman import _operators, _solvers
 from sklearn_koopman._validation import check_integer, check_number
-from sklearn_koopman.centers import distinct_rows, group_means
+from sklearn_koopman.centers import (
+    SeparatedCenterSelector,
+    distinct_rows,
+    group_means,
+)
 from sklearn_koopman.regression import KoopmanKernelRegressor
 from sklearn_koopman.trajectories import successor_rows
 
@@ -120,10 +124,9 @@ default=None
         are spurious. (For random f the residual of a true one is not small, either: it
         is the root of ``1 - abs(lambda) ** 2`` in a stationary process.)
     modes_ : ndarray of shape (n_modes,) or (n_modes, n_outputs), complex
-        Koopman modes: the expansion of the outputs in eigenfunctions, so that
-        ``(eigenfunctions(X) * eigenvalues_ ** s) @ modes_`` is the forecast for s steps
-        ahead (with s = 0, it stands for the present outputs). Zero where the eigenvalue
-        is zero.
+        Koopman modes: the expansion of the outputs G in eigenfunctions, so that
+        ``(eigenfunctions(X) * eigenvalues_ ** s) @ modes_`` is the forecast for s >= 1
+        steps. Zero where the eigenvalue is zero.
     rank_ : int
         The number of functions that the operator acts on: the centres that are not
         numerically dependent on others and, for least squares, the polynomials that
@@ -294,10 +297,10 @@ default=None
         # Outputs of states without a successor: least squares has a use for them.
         more = y is not None and self.method == "least_squares" and len(here) < len(X)
 
-        first, group, _ = distinct_rows(linked)
+        _, group, _ = distinct_rows(linked)
         centers = self.centers
         if more and centers is None:
-            centers = linked[first]
+            centers = SeparatedCenterSelector(0.0)
         regressor = KoopmanKernelRegressor(
             self.kernel,
             beta=self.beta,
@@ -588,6 +591,8 @@ default=None
             if step:
                 small = np.abs(X).max(axis=1) < 1e75  # squares are numbers
                 alive, X = alive[small], X[small]
+            if len(alive) == 0:
+                return
             values = self._evaluate(X, self._dual, self._trend)
             y[alive, step] = values[:, : y.shape[2]]
             X = values[:, -n_features:]
@@ -669,19 +674,24 @@ def _on_another_scale(X: Array, X_next: Array) -> bool:
         return True
     if len(X) > 9 and (100 * spread < 2 * reach)[varies].all() and spread.any():
         return True
-    following, successors = X[1:, varies], X_next[:-1, varies]
-    if len(following) < 4:
-        return False
-    steps, next_steps = np.diff(following, axis=0), np.diff(successors, axis=0)
-    moved = np.abs(steps) > 1e-3 * reach[varies]
-    for j in range(steps.shape[1]):
-        if moved[:, j].sum() < 3:
-            continue
-        ratios = next_steps[moved[:, j], j] / steps[moved[:, j], j]
-        slope = np.median(ratios)
-        affine = np.abs(ratios - slope) <= 1e-6 * np.abs(slope)
-        shift = np.median(successors[:, j] - following[:, j])
-        other = abs(slope - 1) > 1e-3 or abs(shift) > 1e-3 * reach[varies][j]
-        if other and affine.mean() > 0.5:
-            return True
-    return False
+    now, then, following = X[:-1, varies], X_next[:-1, varies], X[1:, varies]
+    scaled, shifted = _affine(following, then)
+    # A linear map of evenly spaced states looks the same, but from the row itself, too.
+    other = scaled & (shifted > 1e-3 * reach[varies]) & ~_affine(now, then)[0]
+    return bool(other.any())
+
+
+def _affine(a: Array, b: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Tell which features of b are affine functions of those of a for most rows.
+
+    Also return the median distance of the features.
+    """
+    steps, images = np.diff(a, axis=0), np.diff(b, axis=0)
+    moved = np.abs(steps) > 1e-3 * np.ptp(a, axis=0)
+    slopes = np.where(moved, images / np.where(moved, steps, 1.0), np.nan)
+    affine = np.zeros(a.shape[1], dtype=bool)
+    for j in np.flatnonzero(moved.sum(axis=0) >= 4):
+        slope = slopes[moved[:, j], j]
+        middle = np.median(slope)
+        affine[j] = np.mean(np.abs(slope - middle) <= 1e-6 * np.abs(middle)) > 0.5
+    return affine, np.median(np.abs(b - a), axis=0)
