@@ -601,8 +601,8 @@ default=None
         """Divide the steps after the first so that a block stays in memory."""
         n_rows = max(len(y), len(self._dual))
         size = max(_operators.BLOCK // (n_rows * y.shape[2]), 1)
-        for steps in gen_batches(y.shape[1] - 1, size):
-            yield slice(steps.start + 1, steps.stop + 1)
+        for start in range(1, y.shape[1], size):
+            yield slice(start, min(start + size, y.shape[1]))
 
     def _predict(self, X: Array) -> Array:
         return self._evaluate(X, self._dual, self._trend)[:, : len(self._limit)]

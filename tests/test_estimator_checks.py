@@ -16,7 +16,11 @@ from sklearn.utils.estimator_checks import (
 )
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman import KoopmanKernelRegressor, SeparatedCenterSelector
+from sklearn_koopman import (
+    KernelEDMD,
+    KoopmanKernelRegressor,
+    SeparatedCenterSelector,
+)
 from sklearn_koopman.kernels import KERNELS, Wendland
 
 SELECTORS = [
@@ -72,13 +76,27 @@ REGRESSORS = [
     KoopmanKernelRegressor(solver="cholesky"),
 ]
 
+OPERATORS = [
+    *(
+        KernelEDMD(centers=centers, method=method, trend=trend)
+        for centers in (None, SeparatedCenterSelector(0.1))
+        for method in ("interpolation", "least_squares")
+        for trend in (None, "constant", "linear")
+    ),
+    KernelEDMD(centers=SeparatedCenterSelector(1.0), method="least_squares"),
+    KernelEDMD("wendland_c4", beta=5.0, n_modes=0, n_jobs=2),
+    KernelEDMD(beta=0.1, n_modes=150),
+]
 
-@parametrize_with_checks([*SELECTORS, *REGRESSORS])
+
+@parametrize_with_checks([*SELECTORS, *REGRESSORS, *OPERATORS])
 def test_scikit_learn_check(estimator, check):
     check(estimator)
 
 
-@pytest.mark.parametrize("estimator", [SELECTORS[0], REGRESSORS[4], REGRESSORS[9]])
+@pytest.mark.parametrize(
+    "estimator", [SELECTORS[0], REGRESSORS[4], REGRESSORS[9], OPERATORS[0]]
+)
 def test_column_names(estimator):
     check_dataframe_column_names_consistency("name", estimator)
 

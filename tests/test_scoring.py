@@ -1,0 +1,264 @@
+"""Scores of forecasts, against loops over starts and steps."""
+
+import pickle
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn import config_context
+from sklearn.base import clone
+from sklearn.linear_model import LinearRegression
+from sklearn.model_selection import GridSearchCV, cross_val_score, cross_validate
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from sklearn_koopman import (
+    KernelEDMD,
+    TrajectoryKFold,
+    forecast_score,
+    trajectory_pairs,
+    valid_horizon,
+)
+from sklearn_koopman.datasets import make_pendulum
+
+LENGTHS = [14, 40, 25, 31, 18, 22]
+
+
+@pytest.fixture(scope="module")
+def swings():
+    data = make_pendulum(
+        40, initial="random", n_trajectories=len(LENGTHS), random_state=0
+    )
+    trajectories = [x[: n + 1] for x, n in zip(data.trajectories, LENGTHS, strict=True)]
+    outputs = [data.G(x) for x in trajectories]
+    return trajectories, outputs
+
+
+@pytest.fixture(scope="module")
+def model(swings):
+    pairs = trajectory_pairs(*swings)
+    model = KernelEDMD("matern32", trend="linear", n_modes=0)
+    return model.fit(pairs.X[::3], pairs.y[::3], X_next=pairs.X_next[::3])
+
+
+def errors_by_loops(model, trajectories, outputs, n_steps, relift=False):
+    """Squared distances after 1 to n_steps steps from every start that has so many."""
+    errors = []
+    for x, y in zip(trajectories, outputs, strict=True):
+        starts = range(len(x) - n_steps)
+        forecasts = model.forecast(x, n_steps, relift=relift)[starts]
+        for start, y_pred in zip(starts, forecasts, strict=True):
+            truth = y[start + 1 : start + 1 + n_steps]
+            errors.append(np.square(y_pred - truth).reshape(n_steps, -1).sum(axis=1))
+    return np.array(errors)
+
+
+@pytest.mark.parametrize("relift", [False, True])
+@pytest.mark.parametrize("discount", [1.0, 0.8])
+@pytest.mark.parametrize("n_steps", [1, 7, 20])
+def test_error_over_the_horizon(swings, model, n_steps, discount, relift):
+    pairs = trajectory_pairs(*swings)
+    errors = errors_by_loops(model, *swings, n_steps, relift)
+    weights = discount ** np.arange(n_steps)
+    expected = -np.sqrt(errors.mean(axis=0) @ weights / weights.sum())
+    scorer = forecast_score(n_steps, discount=discount, relift=relift)
+    score = scorer(model, pairs.X, pairs.y, sample_index=pairs.sample_index)
+    assert score == pytest.approx(expected, rel=1e-9)
+    # Rows in any order, with gaps in the clock, are the same rows.
+    order = np.random.default_rng(0).permutation(len(pairs.X))
+    shuffled = scorer(
+        model, pairs.X[order], pairs.y[order], sample_index=pairs.sample_index[order]
+    )
+    assert shuffled == pytest.approx(expected, rel=1e-9)
+
+
+def test_several_outputs_count_alike(swings):
+    trajectories, _ = swings
+    pairs = trajectory_pairs(trajectories)
+    model = KernelEDMD(trend="linear", n_modes=0)
+    model.fit(pairs.X[::3], X_next=pairs.X_next[::3])
+    errors = errors_by_loops(model, trajectories, trajectories, 5)
+    expected = -np.sqrt(errors.mean() / 2)
+    given = forecast_score(5)(model, pairs.X, pairs.y, sample_index=pairs.sample_index)
+    assert given == pytest.approx(expected, rel=1e-9)
+
+
+def test_states_are_the_default_outputs(swings):
+    """Rows of whole trajectories: the last one has no successor but is one."""
+    trajectories, _ = swings
+    X = np.vstack(trajectories)
+    index = np.concatenate(
+        [100 * i + np.arange(len(x)) for i, x in enumerate(trajectories)]
+    )
+    model = KernelEDMD(trend="linear", n_modes=0).fit(X, sample_index=index)
+    errors = errors_by_loops(model, trajectories, trajectories, 6)
+    expected = -np.sqrt(errors.mean() / 2)
+    assert forecast_score(6)(model, X, sample_index=index) == pytest.approx(
+        expected, rel=1e-9
+    )
+    # A single trajectory needs no clock.
+    first = trajectories[1]
+    errors = errors_by_loops(model, [first], [first], 6)
+    assert forecast_score(6)(model, first) == pytest.approx(
+        -np.sqrt(errors.mean() / 2), rel=1e-9
+    )
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-3, 1e-2, 10.0])
+def test_valid_horizon_counts_the_steps_before_the_first_miss(swings, model, tolerance):
+    pairs = trajectory_pairs(*swings)
+    errors = errors_by_loops(model, *swings, 12)
+    counts = []
+    for row in errors:
+        bad = np.flatnonzero(row > tolerance**2)
+        counts.append(bad[0] if len(bad) else 12)
+    scorer = valid_horizon(12, tolerance)
+    score = scorer(model, pairs.X, pairs.y, sample_index=pairs.sample_index)
+    assert score == pytest.approx(np.mean(counts))
+    assert (tolerance < 5) == (0 < score < 12)
+
+
+@pytest.mark.parametrize("delays", [1, 3])
+@pytest.mark.parametrize("kind", ["states", "outputs in the state"])
+def test_ends_of_trajectories_are_seen_where_outputs_are_states(swings, delays, kind):
+    """Without the clock; the outputs of a row are columns of the one that follows."""
+    trajectories, outputs = swings
+    if kind == "states":
+        pairs = trajectory_pairs(trajectories, delays=delays)
+    else:
+        pairs = trajectory_pairs(
+            trajectories, outputs, delays=delays, outputs_in_state=True
+        )
+    model = KernelEDMD(trend="linear", n_modes=0)
+    model.fit(pairs.X[::2], pairs.y[::2], X_next=pairs.X_next[::2])
+    for scorer in (forecast_score(8), valid_horizon(8, 0.01)):
+        seen = scorer(model, pairs.X, pairs.y)
+        assert seen == scorer(model, pairs.X, pairs.y, sample_index=pairs.sample_index)
+        frame = pd.DataFrame(pairs.X)
+        assert seen == scorer(model, frame.to_numpy(), pd.DataFrame(pairs.y))
+    # Had it crossed the ends, the error would be as large as the swings.
+    consecutive = np.arange(len(pairs.X))
+    wrong = forecast_score(8)(model, pairs.X, pairs.y, sample_index=consecutive)
+    assert wrong < 3 * forecast_score(8)(model, pairs.X, pairs.y)
+
+
+def test_states_in_a_pipeline_are_compared_as_it_transforms_them(swings):
+    trajectories, _ = swings
+    X = 1000 * np.vstack(trajectories)
+    index = np.concatenate(
+        [100 * i + np.arange(len(x)) for i, x in enumerate(trajectories)]
+    )
+    pipeline = make_pipeline(StandardScaler(), KernelEDMD(trend="linear", n_modes=0))
+    pipeline.fit(X, kerneledmd__sample_index=index)
+    Z = pipeline[0].transform(X)
+    bare = clone(pipeline[-1]).fit(Z, sample_index=index)
+    score = forecast_score(5)(pipeline, X, sample_index=index)
+    assert score == forecast_score(5)(bare, Z, sample_index=index)
+    assert -0.1 < score < 0
+
+
+@pytest.mark.parametrize("n_jobs", [None, 2])
+def test_search_without_and_with_metadata_routing(swings, n_jobs):
+    trajectories, _ = swings
+    pairs = trajectory_pairs(trajectories)
+    search = GridSearchCV(
+        make_pipeline(StandardScaler(), KernelEDMD(trend="linear", n_modes=0)),
+        {"kerneledmd__beta": [0.05, 5.0], "kerneledmd__kernel": ["wendland_c4"]},
+        scoring={"error": forecast_score(10), "steps": valid_horizon(10, 0.05)},
+        refit="error",
+        cv=TrajectoryKFold(3),
+        n_jobs=n_jobs,
+        error_score="raise",
+    )
+    off = clone(search).fit(
+        pairs.X,
+        pairs.X_next,
+        groups=pairs.groups,
+        kerneledmd__sample_index=pairs.sample_index,
+    )
+    with config_context(enable_metadata_routing=True):
+        on = clone(search).fit(
+            pairs.X, pairs.X_next, groups=pairs.groups, sample_index=pairs.sample_index
+        )
+    for name in ("mean_test_error", "mean_test_steps"):
+        np.testing.assert_allclose(off.cv_results_[name], on.cv_results_[name])
+    assert off.best_params_["kerneledmd__beta"] == 5.0
+    worse, better = off.cv_results_["mean_test_steps"]
+    assert worse < better <= 10
+
+
+def test_search_over_states_alone(swings):
+    """No outputs at all: the clock reaches the scorer by metadata routing."""
+    trajectories, _ = swings
+    X = np.vstack(trajectories)
+    groups = np.repeat(np.arange(len(trajectories)), [len(x) for x in trajectories])
+    index = np.concatenate(
+        [100 * i + np.arange(len(x)) for i, x in enumerate(trajectories)]
+    )
+    with config_context(enable_metadata_routing=True):
+        scores = cross_validate(
+            KernelEDMD(trend="linear", n_modes=0),
+            X,
+            scoring=forecast_score(5),
+            cv=TrajectoryKFold(3),
+            params={"groups": groups, "sample_index": index},
+            error_score="raise",
+        )["test_score"]
+    assert (scores < 0).all()
+    # One trajectory a fold is told apart by the folds themselves.
+    lone = cross_val_score(
+        KernelEDMD(trend="linear", n_modes=0),
+        trajectories[1],
+        scoring=forecast_score(5),
+        cv=TrajectoryKFold(3),
+        error_score="raise",
+    )
+    assert (lone < 0).all()
+
+
+def test_divergence_scores_what_was_asked_for():
+    x = 2.0 ** np.arange(-10, 4)[:, np.newaxis]
+    model = KernelEDMD(trend="linear", n_modes=0).fit(x)
+    trajectory = 2.0 ** np.arange(-1000, 20)[:, np.newaxis]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for value in (-7.0, -np.inf, np.nan):
+            scorer = forecast_score(1010, error_score=value)
+            np.testing.assert_equal(scorer(model, trajectory + 1e-3), value)
+        steps = valid_horizon(1010, 1.0)(model, trajectory + 1e-3)
+    assert 8 < steps < 11  # 2 ** s times the error that it starts with
+
+
+def test_scorers_can_be_pickled_compared_and_read():
+    for scorer in (forecast_score(5, error_score=-9.0), valid_horizon(3, 0.1)):
+        assert pickle.loads(pickle.dumps(scorer)) == scorer
+        assert clone(scorer, safe=False) == scorer
+    assert "n_steps=5" in repr(forecast_score(5))
+    assert forecast_score(5) != forecast_score(6)
+
+
+BAD = {
+    "no steps": (lambda: forecast_score(0), "n_steps must be an integer"),
+    "half steps": (lambda: valid_horizon(1.5, 1.0), "n_steps must be an integer"),
+    "no weight": (lambda: forecast_score(3, discount=0.0), "discount must be a finite"),
+    "usury": (lambda: forecast_score(3, discount=1.1), "discount must be at most 1"),
+    "no tolerance": (lambda: valid_horizon(3, 0.0), "tolerance must be a finite"),
+    "NaN": (lambda: valid_horizon(3, np.nan), "tolerance must be a finite"),
+}
+
+
+@pytest.mark.parametrize(("make", "message"), BAD.values(), ids=BAD)
+def test_bad_parameters(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_bad_data(swings, model):
+    pairs = trajectory_pairs(*swings)
+    with pytest.raises(ValueError, match=r"n_steps=41: none of the 150 held-out rows"):
+        forecast_score(41)(model, pairs.X, pairs.y, sample_index=pairs.sample_index)
+    with pytest.raises(ValueError, match="inconsistent numbers of samples"):
+        forecast_score(4)(model, pairs.X, pairs.y[:-1])
+    with pytest.raises(TypeError, match=r"LinearRegression has no method forecast"):
+        forecast_score(4)(LinearRegression().fit(pairs.X, pairs.y), pairs.X, pairs.y)
