@@ -430,8 +430,8 @@ default=None
                 f"{diverged.any(axis=1).sum()} of {len(X)} forecasts diverge, the "
                 f"first at step {diverged.any(axis=0).argmax() + 1}: they exceed the "
                 f"training data {DIVERGED:g} times. Forecast fewer steps, set "
-                "relift=True, or fit with method='least_squares', alpha > 0 or fewer "
-                "n_modes.",
+                f"relift={not relift}, or fit with method='least_squares', alpha > 0 "
+                "or fewer n_modes.",
                 RuntimeWarning,
                 stacklevel=2,
             )

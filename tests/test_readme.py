@@ -10,9 +10,9 @@ README = (ROOT / "README.md").read_text()
 
 
 def test_the_main_job_runs_as_printed():
-    (code,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
     names = {}
-    exec(code, names)
+    for code in re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL):
+        exec(code, names)
     pairs = names["pairs"]
     assert names["ankle"].shape == names["std"].shape == (5, 2)
     # It has learned: a tenth of a second of walking moves the ankle by 100 mm.
@@ -21,6 +21,13 @@ def test_the_main_job_runs_as_printed():
     ).X[:, :2]
     persistence = np.sqrt(np.mean((now - pairs.y) ** 2))
     assert -names["search"].best_score_ < 0.1 * persistence
+    # The synthetic trials have 0.7 to 1.1 strides a second.
+    strides = np.abs(names["trusted"][np.abs(names["trusted"]) > 0.1])
+    assert len(strides) > 0
+    assert ((strides > 0.6) & (strides < 1.2)).all()
+    a_second_later = pairs.y[np.arange(5)[:, np.newaxis] + 15 * np.arange(10)]
+    assert np.abs(names["second"] - a_second_later).max() < 0.3 * persistence
+    assert -names["error"] < 0.2 * persistence
 
 
 def test_files_that_it_points_to_exist():
