@@ -15,11 +15,12 @@ forecasts that need no model:
   fits best. Since people walk much the same from stride to stride, this is good.
 
 By default the trials are SYNTHETIC, those of `make_walking`, which are easier to
-forecast than recorded ones: from three recorded trials at other speeds, the model may
-win for a few tenths of a second only, and the printed text says so. Your own recording, an .npz file of the arrays `hip`,
-`knee` and `ankle` (positions in mm of shape (n_frames, 3) along X forward and Y up),
-`trial` (the number of the trial of each frame) and `rate` (frames per second), goes
-the same way::
+forecast than recorded ones. From a few recorded trials at other speeds, the model may
+win for some tenths of a second only; the printed text says where it does not.
+
+Your own recording, an .npz file of the arrays `hip`, `knee` and `ankle` (positions in
+mm of shape (n_frames, 3) along X forward and Y up), `trial` (the number of the trial of
+each frame) and `rate` (frames per second), goes the same way::
 
     python examples/plot_forecast.py --data walking.npz --held-out 3
 """
@@ -162,7 +163,7 @@ def main(arguments=None):
         {
             "koopman__trend": [None, "linear"],
             "koopman__beta": [2.0, 3.0],
-            "koopman__alpha": [1e-4, 1e-3, 1e-2],
+            "koopman__alpha": [1e-3, 1e-2],
         },
         scoring=forecast_score(N_STEPS, relift=True),
         cv=TrajectoryKFold(3),
@@ -239,7 +240,7 @@ def plot(ankle, starts, ahead, forecasts, errors, rate, options):
             ankle[starts[shown] + window, axis],
             color="k",
             lw=1.5,
-            label="measured",
+            label="actual",
         )
         for label, forecast in forecasts.items():
             ax.plot(ahead, forecast[shown, :, axis], ls="", **STYLES[label])
@@ -262,10 +263,10 @@ def plot(ankle, starts, ahead, forecasts, errors, rate, options):
     ax.set_yticks(ticks, [f"{t:g}" for t in ticks])
     ax.minorticks_off()
     ax.grid(color="0.9")
-    # The lines of the error, behind that of the measured ankle.
+    # The lines of the error, behind that of the ankle itself.
     handles, labels = axes["error"].get_legend_handles_labels()
     handles.insert(0, axes["up"].lines[1])
-    labels.insert(0, "measured")
+    labels.insert(0, "actual")
     fig.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
     data = "SYNTHETIC walking" if options.data is None else "Recorded walking"
     fig.suptitle(f"{data}: the ankle over the next second")

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lstsq
+from scipy.linalg import lstsq, qr
 from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import (
     dgecon,
@@ -32,13 +32,10 @@ from sklearn.utils import gen_batches
 
 from sklearn_koopman._solvers import (
     NativeBasis,
-    Sections,
-    Tail,
     evaluate,
     least_squares,
     solve_triangular,
 )
-from sklearn_koopman.centers import group_means
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -130,12 +127,16 @@ def interpolated_operator(
     M = len(rows)
     lot = np.full(group.max() + 1, -1)
     lot[group[rows]] = np.arange(M)
-    sources = rows
-    if (lot[group] >= 0).sum() > M:
-        sources = np.flatnonzero(lot[group] >= 0)
-    values = np.hstack([basis.functions(X_next[sources])[:M].T, targets[sources]])
-    if len(sources) > M:
-        values = group_means(values, lot[group[sources]])
+    counts = np.bincount(group)[group[rows]]
+    sources = rows if counts.sum() == M else np.flatnonzero(lot[group] >= 0)
+    values = np.zeros((M, M + targets.shape[1]))
+    for batch in gen_batches(len(sources), max(BLOCK // M, M)):
+        batch_rows = sources[batch]
+        functions = basis.functions(X_next[batch_rows])[:M].T
+        np.add.at(
+            values, lot[group[batch_rows]], np.hstack([functions, targets[batch_rows]])
+        )
+    values /= counts[:, np.newaxis]
     image = solve_triangular(basis.lower, values)
     return image[:, :M], image[:, M:]
 
@@ -214,8 +215,8 @@ def left_out_errors(basis: NativeBasis, dual: Array) -> Array:
 
     The interpolant with coefficients c misses the value at centre i by c_i / H_ii if
     that centre is left out, where H is the matrix that takes values at the centres to
-    coefficients: the inverse of K, or of K bordered by the polynomials. Centres without
-    which no interpolant is determined are passed over.
+    coefficients: the inverse of K, or of K bordered by the polynomials (Rippa 1999).
+    Centres without which no interpolant is determined are passed over.
     """
     inverse, _ = dtrtri(np.tril(basis.lower), lower=1)
     diagonal = np.einsum("ij,ij->j", inverse, inverse)
@@ -226,38 +227,48 @@ def left_out_errors(basis: NativeBasis, dual: Array) -> Array:
 
 
 def measure(
-    sections: Sections,
-    tail: Tail | None,
+    basis: NativeBasis,
     eigenfunctions: Eigenfunctions,
     X: Array,
     X_next: Array,
     counted: NDArray[np.bool_],
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Array]:
     """Measure eigenfunctions on pairs of states.
 
     Returns
     -------
     size : ndarray of shape (n_modes,)
-        Root mean square of phi over all rows.
+        Sum of squares of phi over all rows.
+    counted_size : ndarray of shape (n_modes,)
+        The same over the rows that count.
     defect : ndarray of shape (n_modes,)
-        Root mean square of phi(x_next) - lambda phi(x) over the rows that count.
+        Sum of squares of phi(x_next) - lambda phi(x) over the rows that count.
     """
-    eigenvalues = eigenfunctions.eigenvalues
-    size, defect = np.zeros(len(eigenvalues)), np.zeros(len(eigenvalues))
-    for rows in gen_batches(len(X), max(BLOCK // max(len(eigenvalues), 1), 1)):
+    lam = eigenfunctions.eigenvalues
+    partner = np.arange(len(lam)) + np.sign(lam.imag).astype(np.intp)
+    size, counted_size, defect = np.zeros((3, len(lam)))
+    for rows in gen_batches(len(X), max(BLOCK // len(lam), 1)):
         now, then = (
-            unpack(
-                evaluate(
-                    sections, tail, x[rows], eigenfunctions.dual, eigenfunctions.trend
-                ),
-                eigenvalues,
+            evaluate(
+                basis.sections,
+                basis.tail,
+                x[rows],
+                eigenfunctions.dual,
+                eigenfunctions.trend,
             )
             for x in (X, X_next)
         )
-        size += np.square(np.abs(now)).sum(axis=0)
-        error = (then - now * eigenvalues)[counted[rows]]
-        defect += np.square(np.abs(error)).sum(axis=0)
-    return np.sqrt(size / len(X)), np.sqrt(defect / max(counted.sum(), 1))
+        # Packed: lambda (a + ib) has the parts Re a - Im b and Re b + Im a.
+        then -= now * lam.real
+        then += now[:, partner] * lam.imag
+        kept = counted[rows, np.newaxis]
+        defect += np.einsum("ij,ij->j", then, then * kept)
+        counted_size += np.einsum("ij,ij->j", now, now * kept)
+        size += np.einsum("ij,ij->j", now, now)
+    pair = partner != np.arange(len(lam))
+    for sums in (size, counted_size, defect):
+        sums[pair] += sums[partner][pair]
+    return size, counted_size, defect
 
 
 @dataclass(frozen=True)
@@ -290,14 +301,17 @@ def analyse(
     eigenvalues, vectors = spectrum(matrix)
     weights, rcond = expansion(vectors, eigenvalues, targets)
     found = Eigenfunctions(eigenvalues, *basis.expand(vectors))
-    size, defect = measure(basis.sections, basis.tail, found, X, X_next, counted)
+    size, counted_size, defect = measure(basis, found, X, X_next, counted)
+    size = np.sqrt(size / len(X))
+    residuals = np.sqrt(_ratio(defect, counted_size))
     if counted.sum() < len(basis.lower):
+        # Interpolation has made phi(f(x)) - lambda phi(x) vanish at the centres. Apart
+        # from them phi itself is uncertain, both at x and at f(x).
         errors = unpack(left_out_errors(basis, found.dual), eigenvalues)
-        errors *= eigenvalues
-        defect = np.full(len(eigenvalues), np.inf)
+        uncertainty = np.full(len(size), np.inf)
         if len(errors):
-            defect = np.sqrt(np.square(np.abs(errors)).mean(axis=0))
-    residuals = _ratio(defect, size)
+            uncertainty = np.sqrt(np.square(np.abs(errors)).mean(axis=0))
+        residuals = _ratio(uncertainty, size) * np.hypot(1, np.abs(eigenvalues))
     # Conjugate eigenvalues tie, and a stable sort leaves them side by side.
     order = np.argsort(_ratio(residuals, np.abs(eigenvalues)), kind="stable")
     at_first = unpack(
@@ -326,17 +340,19 @@ def best_weights(
 
     The targets are functions, given by their coordinates.
     """
-    lam = eigenfunctions.eigenvalues
     dual, trend = basis.expand(targets)
     dual = np.hstack([eigenfunctions.dual, dual])
     trend = np.hstack([eigenfunctions.trend, trend])
-    gram = np.zeros((dual.shape[1], dual.shape[1]))
-    for rows in gen_batches(len(X), max(BLOCK // len(gram), 1)):
+    m, columns = len(eigenfunctions.eigenvalues), dual.shape[1]
+    triangle = np.empty((0, columns))
+    # Row by row into one triangular factor, since normal equations would square the
+    # condition number of eigenfunctions that are nearly parallel.
+    for rows in gen_batches(len(X), max(BLOCK // columns, columns)):
         values = evaluate(basis.sections, basis.tail, X[rows], dual, trend)
-        gram += dgemm(1.0, values, values, trans_a=1)
-    m = len(lam)
-    weights = lstsq(gram[:m, :m], gram[:m, m:])[0]
-    return unpack_weights(weights, lam)
+        triangle = np.asarray(qr(np.vstack([triangle, values]), mode="r")[0])
+        triangle = triangle[:columns]
+    weights = lstsq(triangle[:, :m], triangle[:, m:])[0]
+    return unpack_weights(weights, eigenfunctions.eigenvalues)
 
 
 def _ratio(numerator: Array, denominator: Array) -> Array:

@@ -499,9 +499,13 @@ def evaluate(
     n_jobs: int | None = None,
 ) -> Array:
     """Evaluate k(X, Xi) @ dual without holding k(X, Xi), and add the polynomials."""
-    values = _by_rows(
-        lambda rows: sections(rows) @ dual, X, _tile_rows(len(dual)), n_jobs
-    )
+    M, n_columns = dual.shape
+    if n_columns < 64:
+        values = _by_rows(lambda rows: sections(rows) @ dual, X, _tile_rows(M), n_jobs)
+    else:  # the product takes longer than the kernel, and likes more rows
+        values = _by_rows(
+            lambda rows: matrix(sections, rows, M) @ dual, X, _block_rows(M), n_jobs
+        )
     if tail is not None:
         values += polynomial(X, tail.origin, trend)
     return values

@@ -26,11 +26,19 @@ def check_integer(value: Any, name: str, minimum: int) -> None:
     raise ValueError(f"{name} must be an integer of at least {minimum}, got {value!r}.")
 
 
-def check_magnitude(X: NDArray[np.float64], smallest: float = 1e-150) -> None:
+def check_flag(value: Any, name: str) -> None:
+    """Refuse anything but True and False."""
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} must be True or False, got {value!r}.")
+
+
+def check_magnitude(
+    X: NDArray[np.float64], smallest: float = 1e-150, name: str = "X"
+) -> None:
     """Refuse states whose squared distances leave the range of a double."""
     largest = np.abs(X).max()
     if largest > 1e150 or 0 < largest < smallest:
         raise ValueError(
-            f"X has values up to {largest:.3g}, whose squared distances double "
-            "precision cannot hold; rescale X, by StandardScaler for example."
+            f"{name} has values up to {largest:.3g}, whose squares double precision "
+            f"cannot hold; rescale {name}, by StandardScaler for example."
         )

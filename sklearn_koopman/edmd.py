@@ -10,11 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
-from sklearn.utils import check_array, check_consistent_length, check_X_y, gen_batches
+from sklearn.utils import check_array, check_X_y, gen_batches
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_koopman import _operators, _solvers
-from sklearn_koopman._validation import check_integer, check_number
+from sklearn_koopman._validation import (
+    check_flag,
+    check_integer,
+    check_magnitude,
+    check_number,
+)
 from sklearn_koopman.centers import (
     SeparatedCenterSelector,
     distinct_rows,
@@ -80,7 +85,8 @@ default=None
         Weight of the squared native-space norm against the squared residuals.
     trend : {None, "constant", "linear"}, default=None
         Polynomials that join the sections. With "linear" the constant and the state
-        itself are in the dictionary, so that a linear map is found exactly.
+        itself are in the dictionary, so that a linear map is found exactly (by
+        interpolation, from more centres than features).
     n_modes : int, default=None
         How many eigenfunctions make up the model.
 
@@ -101,12 +107,14 @@ default=None
     Attributes
     ----------
     koopman_matrix_ : ndarray of shape (rank_, rank_)
-        The operator in coordinates: that of the functions which the sections become
-        when the Cholesky factor of their Gram matrix, :math:`K = L L^T`, makes them
-        orthonormal in the native space. Without a trend it is :math:`L^T (K^{-1} K^+)
-        L^{-T}` for interpolation, similar to the matrix that acts on coefficients but
-        as well conditioned as the operator is. With `n_modes`, the block-diagonal
-        matrix that acts on the real and imaginary parts of the eigenfunctions kept.
+        The operator in coordinates: those of the functions :math:`L^{-1} k(\\Xi, x)`
+        with the Cholesky factor of the Gram matrix, :math:`K = L L^T` (with `alpha` on
+        its diagonal for interpolation, and where every row is a centre), which are
+        orthonormal in the native space if alpha is 0. Without a trend it is :math:`L^T
+        (K^{-1} K^+) L^{-T}` for interpolation, similar to the matrix that acts on
+        coefficients but as well conditioned as the operator is. With `n_modes`, the
+        block-diagonal matrix that acts on the real and imaginary parts of the
+        eigenfunctions kept.
     eigenvalues_ : ndarray of shape (n_modes,), complex
         In the order of rising ``residuals_ / abs(eigenvalues_)``, the most trustworthy
         first; conjugate pairs side by side, the one with positive imaginary part first.
@@ -117,16 +125,20 @@ default=None
         .. math:: \\frac{\\sum_i |\\phi(f(x_i)) - \\lambda \\phi(x_i)|^2}
             {\\sum_i |\\phi(x_i)|^2}
 
-        up to the numbers of terms. For least squares the sums are over all pairs. An
-        interpolant has no such error at its centres: there the upper sum is over the
-        other rows or, where these are fewer than the centres, over the errors at each
-        centre of the estimate made without it. Eigenvalues whose residual is not small
-        are spurious. (For random f the residual of a true one is not small, either: it
-        is the root of ``1 - abs(lambda) ** 2`` in a stationary process.)
+        For least squares at chosen centres the sums are over all pairs; take many
+        times as many as centres. An interpolant has no such error at its centres: there
+        they are over the other rows. Where these are fewer than the centres, as when
+        every row is one, the residual is estimated instead: as the error of
+        :math:`\\phi` at centres that are left out, one at a time (in closed form),
+        times :math:`\\sqrt{1 + |\\lambda|^2}`, for both terms. Eigenvalues whose
+        residual is not small are spurious. (For random f the residual of a true one is
+        not small, either: it is the root of ``1 - abs(lambda) ** 2`` in a stationary
+        process.)
     modes_ : ndarray of shape (n_modes,) or (n_modes, n_outputs), complex
         Koopman modes: the expansion of the outputs G in eigenfunctions, so that
         ``(eigenfunctions(X) * eigenvalues_ ** s) @ modes_`` is the forecast for s >= 1
-        steps. Zero where the eigenvalue is zero.
+        steps, if the operator has a full set of eigenfunctions. Zero where the
+        eigenvalue is zero up to rounding.
     rank_ : int
         The number of functions that the operator acts on: the centres that are not
         numerically dependent on others and, for least squares, the polynomials that
@@ -141,7 +153,8 @@ default=None
         The kernel, with its scale and dimension.
     regressor_ : KoopmanKernelRegressor
         The estimate one step ahead of the outputs, if any were given, and behind them
-        of the states: for its power function and standard deviation.
+        of the states, from the rows that have a successor: for its power function and
+        standard deviation. `n_modes` has no influence on it.
     n_features_in_ : int
         Number of features seen during `fit`.
     feature_names_in_ : ndarray of shape (n_features_in_,)
@@ -164,6 +177,9 @@ default=None
     the mean over its outcomes. Least squares does so, as does interpolation where every
     row is a centre; with a selector, or given centres, it takes the first of equal
     rows.
+
+    A pipeline passes on no method `forecast`: with a scaler in front, call
+    ``pipeline[-1].forecast(pipeline[:-1].transform(X), n_steps)``.
 
     With metadata routing enabled, `X_next` and `sample_index` are passed on by
     pipelines and searches without a call of `set_fit_request`. A scaler in front
@@ -248,7 +264,8 @@ default=None
             Integers that tell the rows' successors, if these are among the rows: row
             j succeeds row i if ``sample_index[j] == sample_index[i] + 1``. With
             neither `X_next` nor `sample_index`, the rows are one trajectory in the
-            order of time.
+            order of time. With both (when a scorer needs the second one), `X_next` is
+            used, and has to agree.
 
         Returns
         -------
@@ -258,10 +275,10 @@ default=None
         Raises
         ------
         ValueError
-            If a parameter is outside its range; if both `X_next` and `sample_index`
-            are given; if no row has a successor; if a centre is no row with a
-            successor where interpolation needs it; if ``solver="cholesky"`` meets a
-            Gram matrix that is not positive definite.
+            If a parameter is outside its range; if `X_next` and `sample_index`
+            contradict each other; if no row has a successor; if a centre is no row
+            with a successor where interpolation needs it; if ``solver="cholesky"``
+            meets a Gram matrix that is not positive definite.
 
         Warns
         -----
@@ -290,9 +307,12 @@ default=None
             )
         if self.n_modes is not None:
             check_integer(self.n_modes, "n_modes", 0)
+        if X_next is not None:
+            X_next = self._checked_successors(given, X_next)
         here, X_next = _pairs(X, X_next, sample_index)
         linked = X[here]
         outputs = X_next if y is None else y.reshape(len(y), -1)
+        check_magnitude(outputs, smallest=0.0, name="y")
         targets = X_next if y is None else np.hstack([outputs[here], X_next])
         # Outputs of states without a successor: least squares has a use for them.
         more = y is not None and self.method == "least_squares" and len(here) < len(X)
@@ -331,8 +351,11 @@ default=None
             matrix, coordinates = _operators.interpolated_operator(
                 basis, X_next, targets, rows, lots
             )
-            # The rows apart from the centres tell how good eigenfunctions are.
+            # Rows apart from the centres tell how good eigenfunctions are, as do equal
+            # ones with different successors.
             counted = ~np.isin(group, group[rows])
+            spread = np.abs(X_next - group_means(X_next, group)[group]).max(axis=1)
+            counted |= np.isin(group, group[spread > 1e-9 * np.abs(X_next).max()])
         else:
             counted = np.ones(len(linked), dtype=bool)
             matrix, coordinates = _operators.regressed_operator(
@@ -403,7 +426,8 @@ default=None
         -------
         y : ndarray of shape (n_samples, n_steps) or (n_samples, n_steps, n_outputs)
             ``y[:, s]`` estimates the outputs s + 1 steps later; ``y[:, 0]`` is
-            ``predict(X)``. NaN where a forecast has left the range of numbers.
+            ``predict(X)``. NaN from where a diverging forecast cannot be followed any
+            further: its numbers, or the states that it leads to, are too large.
 
         Warns
         -----
@@ -413,6 +437,7 @@ default=None
         """
         check_is_fitted(self)
         check_integer(n_steps, "n_steps", 1)
+        check_flag(relift, "relift")
         X = validate_data(self, X, reset=False, dtype=np.float64)
         y = np.full((len(X), n_steps, len(self._limit)), np.nan)
         y[:, 0] = self._predict(X)
@@ -423,6 +448,7 @@ default=None
                 self._sum_modes(X, y)
             else:
                 self._apply_powers(X, y)
+            y[~np.isfinite(y)] = np.nan
             fine = np.abs(y) <= np.where(self._limit > 0, self._limit, np.inf)
         diverged = ~fine.all(axis=2)
         if diverged.any():
@@ -449,7 +475,8 @@ default=None
         -------
         phi : ndarray of shape (n_samples, n_modes), complex
             Eigenfunctions in the order of `eigenvalues_`, of mean square one over the
-            training data, and real and positive at its first row.
+            training data, and real and positive at its first row, where they do not
+            vanish there.
 
         Raises
         ------
@@ -479,9 +506,15 @@ default=None
             ``log(abs(eigenvalues_)) / dt`` in 1/s, negative for decay.
         frequencies : ndarray of shape (n_modes,)
             ``angle(eigenvalues_) / (2 pi dt)`` in Hz, at most half the sampling rate.
+
+        Raises
+        ------
+        ValueError
+            If `dt` is not positive, or the model was fitted with ``n_modes=0``.
         """
         check_is_fitted(self)
         check_number(dt, "dt", positive=True)
+        self._check_has_spectrum()
         with np.errstate(divide="ignore"):
             growth_rates = np.log(np.abs(self.eigenvalues_)) / dt
         return growth_rates, np.angle(self.eigenvalues_) / (2 * np.pi * dt)
@@ -491,6 +524,7 @@ default=None
         state = dict(super().__getstate__())
         if state.get("_start") is not None:
             state.pop("_eigenfunctions", None)
+            state.pop("_weights", None)
         return state
 
     def __sklearn_tags__(self) -> Any:
@@ -505,10 +539,11 @@ default=None
         analysis: _operators.Analysis | None,
     ) -> None:
         """Store the operator, or what `n_modes` leaves of it."""
-        self.__dict__.pop("_eigenfunctions", None)
+        for stale in ("_eigenfunctions", "_weights"):
+            self.__dict__.pop(stale, None)
         n_outputs = len(self._limit)
         self.koopman_matrix_ = matrix
-        self._start: Array | None = coordinates[:, :n_outputs]
+        self._start: Array | None = coordinates
         self._dual, self._trend = self.regressor_._native_basis().expand(coordinates)
         if analysis is None:
             self.eigenvalues_ = np.empty(0, dtype=np.complex128)
@@ -523,39 +558,45 @@ default=None
             self._start = None
             self._dual, self._trend = found.dual @ packed, found.trend @ packed
         self._eigenfunctions = found
+        self._weights = analysis.weights[:, :n_outputs]
         self._factors = analysis.factors
         self._rcond_eigenvectors = analysis.rcond
         self.eigenvalues_ = lam
         self.residuals_ = analysis.residuals
-        # The expansion of the outputs one step on has lambda times their modes.
-        weights = analysis.weights[:, :n_outputs]
-        modes = np.zeros_like(weights)
-        np.divide(weights, lam[:, np.newaxis], out=modes, where=lam[:, np.newaxis] != 0)
+        # The weights expand the outputs one step on, those of eigenvalue times mode.
+        zero = np.abs(lam) <= len(matrix) * np.finfo(float).eps * np.abs(lam).max()
+        modes = self._weights / np.where(zero, np.inf, lam)[:, np.newaxis]
         self.modes_ = modes.reshape(len(lam), *self._output_shape)
 
     def _found(self) -> _operators.Eigenfunctions:
         """Return the eigenfunctions, found anew if they were not pickled."""
-        if self.n_modes == 0:
+        self._check_has_spectrum()
+        if not hasattr(self, "_eigenfunctions"):
+            assert self._start is not None
+            basis = self.regressor_._native_basis()
+            eigenvalues, vectors = _operators.spectrum(self.koopman_matrix_)
+            order = _operators.match(self.eigenvalues_, eigenvalues)
+            found = _operators.Eigenfunctions(eigenvalues, *basis.expand(vectors))
+            # Another machine may find other vectors for a multiple eigenvalue, so that
+            # weights have to be found along with them.
+            weights, _ = _operators.expansion(vectors, eigenvalues, self._start)
+            weights = weights[:, : len(self._limit)][order]
+            self._weights = weights / self._factors[:, np.newaxis]
+            self._eigenfunctions = found.take(order).scale(self._factors)
+        return self._eigenfunctions
+
+    def _check_has_spectrum(self) -> None:
+        if len(self.eigenvalues_) == 0:
             raise ValueError(
                 "n_modes=0 has left the spectrum out; fit with n_modes=None, or with "
                 "as many as you need."
             )
-        if not hasattr(self, "_eigenfunctions"):
-            basis = self.regressor_._native_basis()
-            eigenvalues, vectors = _operators.spectrum(self.koopman_matrix_)
-            order = _operators.match(self.eigenvalues_, eigenvalues)
-            self._eigenfunctions = (
-                _operators.Eigenfunctions(eigenvalues, *basis.expand(vectors))
-                .take(order)
-                .scale(self._factors)
-            )
-        return self._eigenfunctions
 
     def _by_eigenvalues(self, n_samples: int, n_steps: int) -> bool:
         """Tell whether to sum modes: if that is all there is, or cheap and accurate."""
         if self._start is None:
             return True
-        if self.n_modes == 0 or self._rcond_eigenvectors < WELL_CONDITIONED:
+        if len(self.eigenvalues_) == 0 or self._rcond_eigenvectors < WELL_CONDITIONED:
             return False
         D, columns = len(self.koopman_matrix_), n_steps * len(self._limit)
         powers = (D + D / 2 + n_samples) * columns
@@ -563,19 +604,20 @@ default=None
 
     def _sum_modes(self, X: Array, y: Array) -> None:
         found = self._found()
-        lam, modes = found.eigenvalues, self.modes_.reshape(len(self.modes_), -1)
+        lam = found.eigenvalues
         for rows in gen_batches(len(X), max(_operators.BLOCK // len(lam), 1)):
             phi = self._evaluate(X[rows], found.dual, found.trend)
             for steps in self._later_steps(y[rows]):
-                power = lam[:, np.newaxis] ** np.arange(steps.start + 1, steps.stop + 1)
-                weights = power[:, :, np.newaxis] * modes[:, np.newaxis]
+                powers = lam[:, np.newaxis] ** np.arange(steps.start, steps.stop)
+                weights = powers[:, :, np.newaxis] * self._weights[:, np.newaxis]
                 packed = _operators.pack_weights(weights.reshape(len(lam), -1), lam)
                 y[rows, steps] = (phi @ packed).reshape(len(phi), -1, y.shape[2])
 
     def _apply_powers(self, X: Array, y: Array) -> None:
         assert self._start is not None
         basis = self.regressor_._native_basis()
-        images = _operators.powers(self.koopman_matrix_, self._start)
+        start = self._start[:, : y.shape[2]]
+        images = _operators.powers(self.koopman_matrix_, start)
         for steps in self._later_steps(y):
             coordinates = list(islice(images, steps.stop - steps.start))
             if not coordinates:
@@ -604,6 +646,23 @@ default=None
         for start in range(1, y.shape[1], size):
             yield slice(start, min(start + size, y.shape[1]))
 
+    def _checked_successors(self, X: Any, X_next: Any) -> Array:
+        """Validate X_next as X is validated, names of features included."""
+        if np.shape(X_next) != np.shape(X):
+            raise ValueError(
+                f"X_next has shape {np.shape(X_next)}, but X has {np.shape(X)}; pass "
+                "the successor of every row, or sample_index where some have none."
+            )
+        names, of_X = (getattr(data, "columns", None) for data in (X_next, X))
+        if names is not None and of_X is not None and list(names) != list(of_X):
+            raise ValueError(
+                f"X_next has the columns {list(names)}, but X has {list(of_X)}; bring "
+                "them into one order."
+            )
+        successors = check_array(X_next, dtype=np.float64, input_name="X_next")
+        check_magnitude(successors, smallest=0.0, name="X_next")
+        return np.asarray(successors, dtype=np.float64)
+
     def _predict(self, X: Array) -> Array:
         return self._evaluate(X, self._dual, self._trend)[:, : len(self._limit)]
 
@@ -616,18 +675,24 @@ default=None
 
 def _pairs(X: Array, X_next: Any, sample_index: Any) -> tuple[Indices, Array]:
     """Return the rows that have a successor, and these."""
+    links = None
+    if sample_index is not None:
+        if np.shape(sample_index)[:1] != X.shape[:1]:
+            raise ValueError(
+                f"sample_index has shape {np.shape(sample_index)}, but X has {len(X)} "
+                "rows; pass one integer a row."
+            )
+        links = successor_rows(sample_index)
     if X_next is not None:
-        if sample_index is not None:
+        if links is not None and not np.allclose(
+            X_next[links[0]], X[links[1]], rtol=1e-6, atol=1e-6 * np.abs(X).max()
+        ):
             raise ValueError(
-                "X_next and sample_index both tell the successors; pass one of them."
+                "X_next and sample_index contradict each other: the row that is one "
+                "higher in sample_index is not the successor in X_next. Pass one of "
+                "them; behind a scaler, transform X_next, too (transform_input)."
             )
-        X_next = check_array(X_next, dtype=np.float64, input_name="X_next")
-        if X_next.shape != X.shape:
-            raise ValueError(
-                f"X_next has shape {X_next.shape}, but X has {X.shape}; pass the "
-                "successor of every row, or sample_index where some have none."
-            )
-        if _on_another_scale(X, X_next):
+        if links is None and _on_another_scale(X, X_next):
             warnings.warn(
                 "X_next seems to live on another scale than X, as it does when a "
                 "scaler in front transforms X only; then the eigenvalues are wrong. "
@@ -637,61 +702,66 @@ def _pairs(X: Array, X_next: Any, sample_index: Any) -> tuple[Indices, Array]:
                 stacklevel=3,
             )
         return np.arange(len(X)), X_next
-    if sample_index is None:
-        if len(X) < 2:
+    if links is not None:
+        if len(links[0]) == 0:
             raise ValueError(
-                "n_samples=1: one row has no successor; pass a trajectory of at least "
-                "two rows, or X_next."
+                f"sample_index links none of the n_samples={len(X)} rows: no index is "
+                "one higher than another. Pass consecutive integers along each "
+                "trajectory."
             )
-        return np.arange(len(X) - 1), X[1:]
-    check_consistent_length(X, sample_index)
-    rows, successors = successor_rows(sample_index)
-    if len(rows) == 0:
+        return links[0], X[links[1]]
+    if len(X) < 2:
         raise ValueError(
-            f"sample_index links none of the n_samples={len(X)} rows: no index is one "
-            "higher than another. Pass consecutive integers along each trajectory."
+            "n_samples=1: one row has no successor; pass a trajectory of at least two "
+            "rows, or X_next."
         )
-    return rows, X[successors]
+    return np.arange(len(X) - 1), X[1:]
 
 
 def _on_another_scale(X: Array, X_next: Array) -> bool:
     """Tell whether successors plainly are in other units than the states.
 
-    Along a trajectory the successor of a row is the next row. If instead it is an
-    affine function of the next row, feature by feature, most of the time and up to
-    rounding, then one of them has been scaled. Where rows do not follow each other,
-    only a gross difference tells: most successors far outside the range of the states,
-    or all of their features a hundred times less spread.
+    Along a trajectory sampled k times a step, the successor of a row is the row k
+    further on. If instead it is a linear function of that row, feature by feature, but
+    another one than the identity, then one of them has been scaled. Where rows do not
+    follow each other, only a difference of all features by a factor of 30 tells.
     """
-    low, high = X.min(axis=0), X.max(axis=0)
-    center, reach = (low + high) / 2, (high - low) / 2
-    varies = reach > 1e-9 * np.abs(center)
-    if not varies.any():
+    spread = X.std(axis=0)
+    varies = spread > 1e-9 * np.abs(X).max(axis=0)
+    if len(X) < 10 or not varies.any():
         return False
-    apart = np.abs(X_next - center) > 5 * reach
-    spread = np.ptp(X_next, axis=0)
-    if (apart & varies).any(axis=1).mean() > 0.5:
+    ratio = X_next.std(axis=0)[varies] / spread[varies]
+    if (ratio > 30).all() or ((ratio > 0) & (ratio < 1 / 30)).all():
         return True
-    if len(X) > 9 and (100 * spread < 2 * reach)[varies].all() and spread.any():
-        return True
-    now, then, following = X[:-1, varies], X_next[:-1, varies], X[1:, varies]
-    scaled, shifted = _affine(following, then)
-    # A linear map of evenly spaced states looks the same, but from the row itself, too.
-    other = scaled & (shifted > 1e-3 * reach[varies]) & ~_affine(now, then)[0]
-    return bool(other.any())
+    now, then, spread = X[:512, varies], X_next[:512, varies], spread[varies]
+    scale = then.std(axis=0)
+    same, _ = _distance_from_line(now, then)
+    scaled = False
+    for k in range(1, min(64, len(now) // 4)):
+        following, images = now[k:], then[:-k]
+        apart = np.median(np.abs(images - following), axis=0)
+        if (apart < 0.02 * spread).all():
+            return False
+        left, slope = _distance_from_line(following, images)
+        # The map itself may be linear; but then the row tells its successor as well.
+        clear = (same > 1e-6 * scale) & (left < np.minimum(0.02 * scale, same / 3))
+        scaled |= bool((clear & (slope > 0) & (apart > 0.05 * spread)).any())
+    return scaled
 
 
-def _affine(a: Array, b: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Tell which features of b are affine functions of those of a for most rows.
+def _distance_from_line(a: Array, b: Array) -> tuple[Array, Array]:
+    """Distance of features b from their best linear functions of a, and the slopes.
 
-    Also return the median distance of the features.
+    In root mean square over the nearest four fifths of the rows, since trajectories end
+    in between.
     """
-    steps, images = np.diff(a, axis=0), np.diff(b, axis=0)
-    moved = np.abs(steps) > 1e-3 * np.ptp(a, axis=0)
-    slopes = np.where(moved, images / np.where(moved, steps, 1.0), np.nan)
-    affine = np.zeros(a.shape[1], dtype=bool)
-    for j in np.flatnonzero(moved.sum(axis=0) >= 4):
-        slope = slopes[moved[:, j], j]
-        middle = np.median(slope)
-        affine[j] = np.mean(np.abs(slope - middle) <= 1e-6 * np.abs(middle)) > 0.5
-    return affine, np.median(np.abs(b - a), axis=0)
+    kept = np.ones(a.shape)
+    for _ in range(3):
+        count = kept.sum(axis=0)
+        x = a - (kept * a).sum(axis=0) / count
+        y = b - (kept * b).sum(axis=0) / count
+        length = (kept * x**2).sum(axis=0)
+        slope = (kept * x * y).sum(axis=0) / np.where(length > 0, length, 1.0)
+        squares = (y - slope * x) ** 2
+        kept = (squares <= np.quantile(squares, 0.8, axis=0)).astype(float)
+    return np.sqrt((kept * squares).sum(axis=0) / kept.sum(axis=0)), slope

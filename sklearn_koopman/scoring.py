@@ -12,7 +12,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils import check_array, check_consistent_length, gen_batches
 from sklearn.utils.metadata_routing import MetadataRequest
 
-from sklearn_koopman._validation import check_integer, check_number
+from sklearn_koopman._validation import check_flag, check_integer, check_number
 from sklearn_koopman.trajectories import successor_rows
 
 __all__ = ["forecast_score", "valid_horizon"]
@@ -29,7 +29,7 @@ def forecast_score(
     *,
     discount: float = 1.0,
     relift: bool = False,
-    error_score: float = np.nan,
+    error_score: str | float = np.nan,
 ) -> ForecastScorer:
     """Make a scorer of the error of forecasts over a horizon.
 
@@ -50,8 +50,9 @@ def forecast_score(
         Weight of each step relative to the one before, above 0 and at most 1.
     relift : bool, default=False
         Passed to :meth:`KernelEDMD.forecast`.
-    error_score : float, default=nan
-        The score of forecasts that leave the range of numbers.
+    error_score : "raise" or float, default=nan
+        The score if a forecast leaves the range of numbers, or an error. Forecasts that
+        diverge but are still numbers have the score that follows from them.
 
     Returns
     -------
@@ -75,10 +76,10 @@ def forecast_score(
     -----
     The scorer has to know which of the held-out rows follow each other. With metadata
     routing enabled, ``sample_index`` given to the ``fit`` of the search reaches both
-    the estimator and the scorer, and tells. Without, each row is followed by the next
-    one: where `y` holds some of the columns of the states, only if the next row
-    begins with these outputs (so that several held-out trajectories are told apart);
-    otherwise always, which is right if every fold leaves out one trajectory.
+    the estimator and the scorer, and tells. Without, where `y` holds some of the
+    columns of the states, a row is followed by the one with these columns. Otherwise
+    the held-out rows are taken for one trajectory in the order of time, which is right
+    if every fold leaves out one (a warning tells if some are far apart).
 
     Examples
     --------
@@ -103,6 +104,11 @@ def forecast_score(
     check_number(discount, "discount", positive=True)
     if discount > 1:
         raise ValueError(f"discount must be at most 1, got {discount!r}.")
+    check_flag(relift, "relift")
+    if error_score != "raise" and not isinstance(error_score, int | float):
+        raise ValueError(
+            f"error_score must be 'raise' or a number, got {error_score!r}."
+        )
     return _HorizonError(n_steps, relift, float(discount), error_score)
 
 
@@ -151,6 +157,7 @@ def valid_horizon(
     """
     check_integer(n_steps, "n_steps", 1)
     check_number(tolerance, "tolerance", positive=True)
+    check_flag(relift, "relift")
     return _ValidHorizon(n_steps, relift, float(tolerance))
 
 
@@ -192,21 +199,24 @@ class ForecastScorer:
                 f"{type(operator).__name__} has no method forecast; score a "
                 "KernelEDMD, or a pipeline that ends in one."
             )
-        X = check_array(X, dtype=np.float64)
         # Row i holds the outputs of the steps after i: its own, if y is given.
-        chain = [np.arange(len(X))]
+        n = len(following)
+        chain = [np.arange(n)]
         for _ in range(self.n_steps if y is None else self.n_steps - 1):
             chain.append(np.where(chain[-1] < 0, -1, following[chain[-1]]))
         steps = np.column_stack(chain[1:] if y is None else chain)
         starts = np.flatnonzero(steps[:, -1] >= 0)
         if len(starts) == 0:
             raise ValueError(
-                f"n_steps={self.n_steps}: none of the {len(X)} held-out rows is "
+                f"n_steps={self.n_steps}: none of the {n} held-out rows is "
                 "followed by so many on its trajectory; lower n_steps, or leave out "
                 "whole trajectories (TrajectoryKFold)."
             )
-        outputs = X if y is None else check_array(y, dtype=np.float64, ensure_2d=False)
-        outputs = outputs.reshape(len(X), -1)
+        outputs = check_array(X if y is None else y, dtype=np.float64, ensure_2d=False)
+        outputs = outputs.reshape(n, -1)
+        take = (
+            X.iloc if hasattr(X, "iloc") else np.asarray(X)
+        )  # names stay with a frame
         size = max(BLOCK // (self.n_steps * outputs.shape[1]), 1)
         errors = []
         for batch in gen_batches(len(starts), size):
@@ -214,10 +224,15 @@ class ForecastScorer:
             with warnings.catch_warnings():
                 # What has diverged shows in the score.
                 warnings.simplefilter("ignore", RuntimeWarning)
-                y_pred = operator.forecast(X[rows], self.n_steps, relift=self.relift)
-            difference = y_pred.reshape(len(rows), self.n_steps, -1)
-            difference = difference - outputs[steps[rows]]
+                y_pred = operator.forecast(take[rows], self.n_steps, relift=self.relift)
+            y_pred = y_pred.reshape(len(rows), self.n_steps, -1)
+            if y_pred.shape[2] != outputs.shape[1]:
+                raise ValueError(
+                    f"y has {outputs.shape[1]} outputs, but the estimator forecasts "
+                    f"{y_pred.shape[2]}; score it with outputs like those of its fit."
+                )
             with np.errstate(over="ignore", invalid="ignore"):
+                difference = y_pred - outputs[steps[rows]]
                 errors.append(np.square(difference).sum(axis=2))
         return self._score(np.concatenate(errors), outputs.shape[1])
 
@@ -241,13 +256,18 @@ class ForecastScorer:
 @dataclass(frozen=True)
 class _HorizonError(ForecastScorer):
     discount: float
-    error_score: float
+    error_score: str | float
 
     def _score(self, squared: Array, n_outputs: int) -> float:
         weights = self.discount ** np.arange(self.n_steps)
         mean = np.average(squared.mean(axis=0), weights=weights)
         if not np.isfinite(mean):
-            return self.error_score
+            if isinstance(self.error_score, str):
+                raise ValueError(
+                    f"A forecast of n_steps={self.n_steps} has left the range of "
+                    "numbers; lower n_steps, or set error_score to a number."
+                )
+            return float(self.error_score)
         return -float(np.sqrt(mean / n_outputs))
 
 
@@ -269,15 +289,41 @@ def _following(X: Any, y: Any, sample_index: Any) -> Indices:
         rows, successors = successor_rows(sample_index)
         following[rows] = successors
         return following
-    following[:-1] = np.arange(1, n)
     states = np.asarray(X)
     if y is not None and states.dtype.kind in "iuf":
         outputs = np.asarray(y).reshape(n, -1)
         width = outputs.shape[1]
         for first in range(states.shape[1] - width + 1):
-            seen = states[1:, first : first + width] == outputs[:-1]
-            follows = seen.all(axis=1)
-            if follows.mean() > 0.5:
-                following[:-1][~follows] = -1
-                break
+            found = _rows_of(outputs, states[:, first : first + width])
+            if np.mean(found >= 0) > 0.5:
+                return found
+    following[:-1] = np.arange(1, n)
+    if states.dtype.kind == "f" and n > 2:
+        steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
+        far = int(steps.argmax())
+        if steps[far] > 5 * np.quantile(steps, 0.9):
+            warnings.warn(
+                f"The {n} held-out rows are taken for one trajectory, but rows {far} "
+                f"and {far + 1} are far apart. If they hold several, give sample_index "
+                "to fit with metadata routing enabled, or leave out one trajectory a "
+                "fold.",
+                UserWarning,
+                stacklevel=3,
+            )
     return following
+
+
+def _rows_of(values: Array, states: Array) -> Indices:
+    """Find the row of states that each row of values equals: the next one, or any."""
+    precision = np.result_type(np.float32)
+    if values.dtype != precision and states.dtype != precision:
+        precision = np.result_type(values, states)
+    values, states = values.astype(precision), states.astype(precision)
+    _, first, group = np.unique(
+        np.vstack([states, values]), axis=0, return_index=True, return_inverse=True
+    )
+    found = first[group.reshape(-1)[len(states) :]]
+    found[found >= len(states)] = -1
+    following = (values[:-1] == states[1:]).all(axis=1)
+    found[:-1][following] = np.flatnonzero(following) + 1
+    return np.asarray(found, dtype=np.intp)

@@ -189,8 +189,13 @@ def successor_rows(sample_index: Any) -> tuple[NDArray[np.intp], NDArray[np.intp
             "sample_index must be a one-dimensional array of integers, got shape "
             f"{index.shape} and dtype {index.dtype}."
         )
-    if index.dtype.kind == "f" and not np.array_equal(index, np.floor(index)):
-        raise ValueError("sample_index must hold integers, got fractions, NaN or inf.")
+    if index.dtype.kind == "f" and not (
+        (np.abs(index) < 2**53).all() and np.array_equal(index, np.floor(index))
+    ):
+        raise ValueError(
+            "sample_index must hold integers, got fractions, NaN, or floats so large "
+            "that they are not exact."
+        )
     order = np.argsort(index, kind="stable")
     steps = np.diff(index[order].astype(np.int64))
     equal = np.flatnonzero(steps == 0)

@@ -7,6 +7,7 @@ import warnings
 
 import joblib
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import linalg
 from scipy.interpolate import RBFInterpolator
@@ -227,6 +228,70 @@ def test_eigenfunctions_and_modes(setting, pendulum):
     np.testing.assert_array_equal(
         model.eigenvalues_[upper + 1], model.eigenvalues_[upper].conj()
     )
+
+
+def fresh_residuals(model, X, X_next):
+    phi, phi_next = model.eigenfunctions(X), model.eigenfunctions(X_next)
+    defect = np.mean(np.abs(phi_next - model.eigenvalues_ * phi) ** 2, axis=0)
+    return np.sqrt(defect / np.mean(np.abs(phi) ** 2, axis=0))
+
+
+@pytest.mark.parametrize("kernel", ["matern32", "wendland_c4"])
+def test_residuals_of_interpolation_are_honest(kernel):
+    """What seems true on few states holds on fresh ones: chaos, and random walks."""
+    rng = np.random.default_rng(0)
+    maps = {
+        "logistic": lambda x: 4 * x * (1 - x),
+        "cat": lambda x: x @ [[2, 1], [1, 1]] % 1,
+        "contraction": lambda x: np.tanh(0.8 * (x - 0.5)) + 0.5,
+        "random": lambda x: 0.5 + 0.6 * (x - 0.5) + 0.2 * rng.standard_normal(x.shape),
+    }
+    for name, f in maps.items():
+        d = 2 if name == "cat" else 1
+        X, fresh = rng.uniform(0, 1, (300, d)), rng.uniform(0, 1, (5000, d))
+        X_next, fresh_next = f(X), f(fresh)
+        for centers in (None, SeparatedCenterSelector(0.02 if d == 1 else 0.08)):
+            model = KernelEDMD(kernel, beta=1.0, centers=centers)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", LinAlgWarning)
+                model.fit(X, X_next=X_next)
+            true = fresh_residuals(model, fresh, fresh_next)
+            claimed = model.residuals_
+            bad = np.flatnonzero((claimed < 0.05) & (true > 0.3))
+            assert (bad > 100).all(), (name, centers)  # none that anyone would take
+            # Among the first few there is nothing that vanishes at once.
+            assert np.abs(model.eigenvalues_[:3]).min() > 0.05
+
+
+def test_residuals_of_a_finite_random_map():
+    """Equal states with different successors are data: sqrt(1 - lambda^2)."""
+    P = np.array([[0.7, 0.2, 0.1], [0.2, 0.6, 0.2], [0.1, 0.2, 0.7]])  # reversible
+    rng = np.random.default_rng(0)
+    states = [0]
+    for _ in range(20_000):
+        states.append(rng.choice(3, p=P[states[-1]]))
+    model = KernelEDMD(beta=1.0).fit(np.eye(3)[states])
+    expected = np.sort(np.linalg.eigvals(P).real)[::-1]
+    np.testing.assert_allclose(model.eigenvalues_, expected, atol=0.02)
+    np.testing.assert_allclose(
+        model.residuals_, np.sqrt(np.maximum(1 - expected**2, 0)), atol=0.02
+    )
+
+
+def test_reduced_model_of_a_nearly_defective_operator():
+    """Nearly parallel eigenfunctions: normal equations would lose all digits."""
+    X = np.random.default_rng(0).uniform(-1, 1, (100, 2))
+    X_next = X @ np.array([[0.9, 1.0], [0.0, 0.9]]).T
+    for n_modes in (3, 4, 6, 10):
+        model = KernelEDMD(
+            "wendland_c2",
+            beta=3.0,
+            trend="linear",
+            method="least_squares",
+            centers=X[:30],
+            n_modes=n_modes,
+        ).fit(X, X_next=X_next)
+        np.testing.assert_allclose(model.predict(X), X_next, atol=1e-6)
 
 
 # One step ahead
@@ -465,6 +530,8 @@ def test_without_modes_there_is_no_spectrum_but_the_same_forecast(pendulum):
     np.testing.assert_allclose(bare.forecast(x, 50), whole.forecast(x, 50), atol=1e-8)
     with pytest.raises(ValueError, match="n_modes=0"):
         bare.eigenfunctions(x)
+    with pytest.raises(ValueError, match="n_modes=0"):
+        bare.continuous_eigenvalues(0.1)
 
 
 def test_continuous_eigenvalues():
@@ -822,7 +889,7 @@ BAD = {
     "both kinds of successor": (
         {},
         {"X_next": np.ones((6, 2)), "sample_index": range(6)},
-        r"X_next and sample_index .* pass one",
+        r"X_next and sample_index contradict each other.*transform_input",
     ),
     "X_next of another length": ({}, {"X_next": np.ones((5, 2))}, r"X_next has shape"),
     "X_next of other features": ({}, {"X_next": np.ones((6, 3))}, r"X_next has shape"),
@@ -832,8 +899,13 @@ BAD = {
     "fractions": ({}, {"sample_index": np.arange(6) / 2}, r"must hold integers"),
     "NaN index": ({}, {"sample_index": [0, 1, 2, 3, 4, np.nan]}, r"hold integers"),
     "words": ({}, {"sample_index": list("abcdef")}, r"array of integers"),
-    "short index": ({}, {"sample_index": range(5)}, r"inconsistent numbers"),
+    "short index": ({}, {"sample_index": range(5)}, r"shape \(5,\), but X has 6 rows"),
     "wide index": ({}, {"sample_index": np.ones((6, 1))}, r"one-dimensional"),
+    "infinite index": ({}, {"sample_index": np.full(6, np.inf)}, r"not exact"),
+    "huge index": ({}, {"sample_index": 1e17 + np.arange(6)}, r"not exact"),
+    "flat X_next": ({}, {"X_next": np.ones(6)}, r"X_next has shape \(6,\)"),
+    "huge X_next": ({}, {"X_next": np.full((6, 2), 1e200)}, r"X_next has values up to"),
+    "huge outputs": ({}, {"y": np.full(6, 1e200)}, r"y has values up to"),
     "distances": ({"centers": "precomputed"}, {}, r"needs the states"),
     "negative modes": ({"n_modes": -1}, {}, r"n_modes must be an integer"),
     "half a mode": ({"n_modes": 2.5}, {}, r"n_modes must be an integer"),
@@ -881,6 +953,25 @@ def test_bad_input_is_refused_and_leaves_the_former_fit(parameters, arguments, m
         unfitted.forecast(X, 2)
 
 
+def test_successors_have_the_columns_of_the_states(pendulum):
+    X = pd.DataFrame(pendulum.X, columns=["p", "q"])
+    X_next = pd.DataFrame(pendulum.X_next, columns=["p", "q"])
+    model = KernelEDMD(n_modes=0).fit(X, X_next=X_next)
+    assert list(model.feature_names_in_) == ["p", "q"]
+    with pytest.raises(ValueError, match=r"X_next has the columns \['q', 'p'\]"):
+        model.fit(X, X_next=X_next[["q", "p"]])
+
+
+def test_successors_and_clock_together(swings):
+    """As a search needs, whose scorer asks for the clock."""
+    pairs = trajectory_pairs(swings)
+    both = KernelEDMD().fit(
+        pairs.X, X_next=pairs.X_next, sample_index=pairs.sample_index
+    )
+    one = KernelEDMD().fit(pairs.X, X_next=pairs.X_next)
+    np.testing.assert_array_equal(both.koopman_matrix_, one.koopman_matrix_)
+
+
 def test_one_row_is_no_trajectory():
     with pytest.raises(ValueError, match=r"n_samples=1.*X_next"):
         KernelEDMD().fit([[1.0, 2.0]])
@@ -893,6 +984,13 @@ def test_number_of_steps(n_steps, pendulum):
     model = KernelEDMD(n_modes=0).fit(pendulum.X[:20])
     with pytest.raises(ValueError, match="n_steps must be an integer of at least 1"):
         model.forecast(pendulum.X, n_steps)
+
+
+@pytest.mark.parametrize("relift", ["no", None, 1])
+def test_relift_is_yes_or_no(relift, pendulum):
+    model = KernelEDMD(n_modes=0).fit(pendulum.X[:20])
+    with pytest.raises(ValueError, match="relift must be True or False"):
+        model.forecast(pendulum.X, 2, relift=relift)
 
 
 @pytest.mark.parametrize("dt", [0, -0.1, np.nan, np.inf, "second", True])

@@ -143,6 +143,44 @@ def test_ends_of_trajectories_are_seen_where_outputs_are_states(swings, delays, 
     assert wrong < 3 * forecast_score(8)(model, pairs.X, pairs.y)
 
 
+def test_successors_are_found_whatever_the_lag_and_precision(swings):
+    """A lag of three makes interleaved runs, whose rows are not side by side."""
+    trajectories, _ = swings
+    pairs = trajectory_pairs(trajectories, lag=3)
+    model = KernelEDMD(trend="linear", n_modes=0).fit(pairs.X, X_next=pairs.X_next)
+    order = np.random.default_rng(0).permutation(len(pairs.X))
+    scorer = forecast_score(4)
+    wanted = scorer(model, pairs.X, pairs.y, pairs.sample_index)
+    assert scorer(model, pairs.X, pairs.y) == wanted
+    assert scorer(model, pairs.X[order], pairs.y[order]) == pytest.approx(wanted)
+    single = pairs.X.astype(np.float32)
+    wanted = scorer(model, single, pairs.y, pairs.sample_index)
+    assert scorer(model, single, pairs.y) == wanted
+
+
+def test_ends_that_cannot_be_seen_are_warned_of(swings, model):
+    """Outputs that are no states, several trajectories, and no clock."""
+    pairs = trajectory_pairs(*swings)
+    with pytest.warns(UserWarning, match=r"rows 53 and 54 are far apart.*sample_index"):
+        forecast_score(4)(model, pairs.X, pairs.y)
+    first = pairs.groups == 1
+    forecast_score(4)(model, pairs.X[first], pairs.y[first])  # no warning
+
+
+def test_names_of_features_reach_the_estimator(swings):
+    trajectories, outputs = swings
+    X, y = pd.DataFrame(trajectories[1][:-1], columns=["p", "q"]), outputs[1][1:]
+    scores = cross_val_score(
+        KernelEDMD(trend="linear", n_modes=0),
+        X,
+        y,
+        scoring=forecast_score(3),
+        cv=TrajectoryKFold(3),
+        error_score="raise",
+    )
+    assert (scores < 0).all()
+
+
 def test_states_in_a_pipeline_are_compared_as_it_transforms_them(swings):
     trajectories, _ = swings
     X = 1000 * np.vstack(trajectories)
@@ -221,12 +259,19 @@ def test_divergence_scores_what_was_asked_for():
     x = 2.0 ** np.arange(-10, 4)[:, np.newaxis]
     model = KernelEDMD(trend="linear", n_modes=0).fit(x)
     trajectory = 2.0 ** np.arange(-1000, 20)[:, np.newaxis]
+    clock = np.arange(len(trajectory))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        with pytest.raises(ValueError, match="left the range of numbers"):
+            forecast_score(1010, error_score="raise")(
+                model, trajectory + 1e-3, None, clock
+            )
         for value in (-7.0, -np.inf, np.nan):
             scorer = forecast_score(1010, error_score=value)
-            np.testing.assert_equal(scorer(model, trajectory + 1e-3), value)
-        steps = valid_horizon(1010, 1.0)(model, trajectory + 1e-3)
+            np.testing.assert_equal(
+                scorer(model, trajectory + 1e-3, None, clock), value
+            )
+        steps = valid_horizon(1010, 1.0)(model, trajectory + 1e-3, None, clock)
     assert 8 < steps < 11  # 2 ** s times the error that it starts with
 
 
@@ -244,6 +289,8 @@ BAD = {
     "no weight": (lambda: forecast_score(3, discount=0.0), "discount must be a finite"),
     "usury": (lambda: forecast_score(3, discount=1.1), "discount must be at most 1"),
     "no tolerance": (lambda: valid_horizon(3, 0.0), "tolerance must be a finite"),
+    "relift": (lambda: forecast_score(3, relift="yes"), "relift must be True or"),
+    "error_score": (lambda: forecast_score(3, error_score="no"), "error_score must be"),
     "NaN": (lambda: valid_horizon(3, np.nan), "tolerance must be a finite"),
 }
 
@@ -261,4 +308,13 @@ def test_bad_data(swings, model):
     with pytest.raises(ValueError, match="inconsistent numbers of samples"):
         forecast_score(4)(model, pairs.X, pairs.y[:-1])
     with pytest.raises(TypeError, match=r"LinearRegression has no method forecast"):
-        forecast_score(4)(LinearRegression().fit(pairs.X, pairs.y), pairs.X, pairs.y)
+        forecast_score(4)(
+            LinearRegression().fit(pairs.X, pairs.y),
+            pairs.X,
+            pairs.y,
+            pairs.sample_index,
+        )
+    with pytest.raises(
+        ValueError, match="y has 2 outputs, but the estimator forecasts 1"
+    ):
+        forecast_score(4)(model, pairs.X, pairs.X_next, pairs.sample_index)

@@ -147,13 +147,13 @@ def test_defective_map_splits_its_eigenvalue_by_the_root_of_rounding(method, kin
     # Both copies: those of smallest residual among the eigenvalues near 0.8.
     near = np.flatnonzero(np.abs(model.eigenvalues_ - 0.8) < 1e-6)
     assert len(near) == 2
-    assert_allclose(model.eigenvalues_[near].mean(), 0.8, rtol=0, atol=1e-11)
-    assert model.residuals_[near].max() < 1e-11
+    assert_allclose(model.eigenvalues_[near].mean(), 0.8, rtol=0, atol=1e-13)
+    assert model.residuals_[near].max() < 1e-13
     start = np.random.default_rng(1).uniform(-2, 2, (5, 2))
     exact = np.stack(
         [start @ np.linalg.matrix_power(F.T, s) for s in range(1, 61)], axis=1
     )
-    assert_allclose(model.forecast(start, n_steps=60), exact, rtol=0, atol=1e-10)
+    assert_allclose(model.forecast(start, n_steps=60), exact, rtol=0, atol=1e-12)
 
 
 ROTATING = np.array([[0.9, -0.3], [0.2, 0.7]])
@@ -179,17 +179,17 @@ def test_polynomial_kernel_has_exactly_the_products_of_eigenvalues(method):
     assert len(model.eigenvalues_) == len(factors) == 10
     places, distances = nearest(model, [lam[chosen].prod() for chosen in factors])
     assert sorted(places) == list(range(10))
-    assert distances.max() < 1e-11
-    assert model.residuals_.max() < 1e-11
+    assert distances.max() < 1e-12
+    assert model.residuals_.max() < 2e-12
     phi = model.eigenfunctions(X_new)[:, places]
     exact = np.column_stack([linear_now[:, chosen].prod(axis=1) for chosen in factors])
     exact *= (exact.conj() * phi).sum(axis=0) / np.square(np.abs(exact)).sum(axis=0)
-    assert_allclose(phi, exact, rtol=0, atol=1e-10)
+    assert_allclose(phi, exact, rtol=0, atol=1e-11)
     assert_in_order(model)
 
 
 @pytest.mark.parametrize(
-    ("method", "accuracy"), [("interpolation", 3e-5), ("least_squares", 3e-2)]
+    ("method", "accuracy"), [("interpolation", 3e-5), ("least_squares", 3e-3)]
 )
 def test_radial_kernel_approximates_the_products_of_eigenvalues(method, accuracy):
     """Quadratic functions are approximated only, above all near the boundary.
@@ -447,7 +447,7 @@ def test_orbit_is_the_one_of_the_dataset(orbit):
     q = rows[:, 1]
     up = np.flatnonzero((q[:-1] < 0) & (q[1:] >= 0))
     times = 0.1 * (up - q[up] / (q[up + 1] - q[up]))
-    assert_allclose((len(up) - 1) / (times[-1] - times[0]), frequency, rtol=1e-6)
+    assert_allclose((len(up) - 1) / (times[-1] - times[0]), frequency, rtol=1e-9)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -522,6 +522,7 @@ def test_eigenfunction_of_the_pendulum_is_its_phase(
 # --- Spurious eigenvalues ------------------------------------------------------------
 
 
+@cache
 def noisy_rotation(n, separation, kernel):
     """A model of a rotation measured with noise, and its residuals on new pairs.
 
@@ -603,8 +604,8 @@ def test_residuals_of_interpolation_are_measured_off_the_centres(twisted, trend,
     ).fit(X, X_next=X_next)
     others = np.setdiff1d(np.arange(len(X)), model.center_indices_)
     assert len(others) > len(model.centers_) > 10
-    phi, phi_next = model.eigenfunctions(X), model.eigenfunctions(X_next)
-    defect = (phi_next - model.eigenvalues_ * phi)[others]
+    phi, phi_next = (model.eigenfunctions(x[others]) for x in (X, X_next))
+    defect = phi_next - model.eigenvalues_ * phi
     expected = root_mean_square(defect) / root_mean_square(phi)
     assert_allclose(model.residuals_, expected, rtol=1e-9, atol=1e-12)
     assert_in_order(model)
@@ -639,8 +640,9 @@ def test_residuals_without_other_rows_leave_out_one_centre_at_a_time(
 ):
     """An explicit loop over the centres, with dense solves.
 
-    What is estimated is phi at the successors: lambda phi at the centres, if alpha is
-    zero.
+    The estimate from the values of phi at the successors is lambda phi. Its error where
+    a centre is left out is lambda times the uncertainty of phi, which the residual has
+    once for phi and lambda times for phi o f.
     """
     X, X_next = twisted
     centers = X[:60] if few_others else None
@@ -657,5 +659,6 @@ def test_residuals_without_other_rows_leave_out_one_centre_at_a_time(
         estimate = dense_estimate(Xi[kept], values[kept], Xi[i : i + 1], trend, alpha)
         errors[i] = values[i] - estimate[0]
     expected = root_mean_square(errors) / root_mean_square(model.eigenfunctions(X))
-    assert_allclose(model.residuals_, expected, rtol=1e-8, atol=1e-10)
+    expected = expected * np.hypot(1, 1 / np.abs(model.eigenvalues_))
+    assert_allclose(model.residuals_, expected, rtol=1e-9, atol=1e-11)
     assert_in_order(model)
