@@ -13,7 +13,7 @@ from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_array, check_X_y, gen_batches
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman import _operators, _solvers
+from sklearn_koopman import _operators, _pairing, _solvers
 from sklearn_koopman._validation import (
     check_flag,
     check_integer,
@@ -26,7 +26,6 @@ from sklearn_koopman.centers import (
     group_means,
 )
 from sklearn_koopman.regression import KoopmanKernelRegressor
-from sklearn_koopman.trajectories import successor_rows
 
 __all__ = ["KernelEDMD"]
 
@@ -308,67 +307,41 @@ default=None
         if self.n_modes is not None:
             check_integer(self.n_modes, "n_modes", 0)
         if X_next is not None:
-            X_next = self._checked_successors(given, X_next)
-        here, X_next = _pairs(X, X_next, sample_index)
-        linked = X[here]
+            X_next = _pairing.check_successors(given, X_next)
+        here, X_next = _pairing.successors(X, X_next, sample_index)
         outputs = X_next if y is None else y.reshape(len(y), -1)
         check_magnitude(outputs, smallest=0.0, name="y")
         targets = X_next if y is None else np.hstack([outputs[here], X_next])
         # Outputs of states without a successor: least squares has a use for them.
         more = y is not None and self.method == "least_squares" and len(here) < len(X)
-
-        _, group, _ = distinct_rows(linked)
-        centers = self.centers
-        if more and centers is None:
-            centers = SeparatedCenterSelector(0.0)
-        regressor = KoopmanKernelRegressor(
-            self.kernel,
-            beta=self.beta,
-            centers=centers,
-            method=self.method,
-            alpha=self.alpha,
-            trend=self.trend,
-            solver=self.solver,
-            n_jobs=self.n_jobs,
-        )
-        if centers is None:
-            # Where equal states have different successors, the map is random, and its
-            # operator takes the mean.
-            targets = group_means(targets, group)[group]
         try:
-            regressor.fit(linked, targets)
+            regressor, matrix, coordinates, counted = self._estimate(
+                X[here], X_next, targets, every_row=self.centers is None and not more
+            )
         except ValueError as error:
             if len(here) == len(X):
                 raise
             raise ValueError(
                 f"{error} (Rows are counted among the {len(here)} with a successor.)"
             ) from error
-
-        basis = regressor._native_basis()
-        if self.method == "interpolation" or centers is None:
-            rows = np.asarray(regressor.center_indices_)
-            lots = group if centers is None else np.arange(len(linked))
-            matrix, coordinates = _operators.interpolated_operator(
-                basis, X_next, targets, rows, lots
-            )
-            # Rows apart from the centres tell how good eigenfunctions are, as do equal
-            # ones with different successors.
-            counted = ~np.isin(group, group[rows])
-            spread = np.abs(X_next - group_means(X_next, group)[group]).max(axis=1)
-            counted |= np.isin(group, group[spread > 1e-9 * np.abs(X_next).max()])
-        else:
-            counted = np.ones(len(linked), dtype=bool)
-            matrix, coordinates = _operators.regressed_operator(
-                basis, linked, X_next, targets, self.alpha
-            )
         if more:
             coordinates[:, : outputs.shape[1]] = _operators.regressed(
-                basis, X, outputs.__getitem__, outputs.shape[1], self.alpha
+                regressor._native_basis(),
+                X,
+                outputs.__getitem__,
+                outputs.shape[1],
+                self.alpha,
             )
         analysis = None
         if self.n_modes != 0:
             analysis = _operators.analyse(
-                basis, matrix, coordinates, linked, X_next, counted, self.n_modes
+                regressor._native_basis(),
+                matrix,
+                coordinates,
+                X[here],
+                X_next,
+                counted,
+                self.n_modes,
             )
 
         # Attributes are set last: a fit that fails leaves the estimator as it was.
@@ -485,7 +458,7 @@ default=None
         """
         check_is_fitted(self)
         X = validate_data(self, X, reset=False, dtype=np.float64)
-        found = self._found()
+        found = self._eigenbasis()
         values = self._evaluate(X, found.dual, found.trend)
         return _operators.unpack(values, found.eigenvalues)
 
@@ -532,6 +505,62 @@ default=None
         tags.target_tags.required = False
         return tags
 
+    def _estimate(
+        self, X: Array, X_next: Array, targets: Array, *, every_row: bool
+    ) -> tuple[KoopmanKernelRegressor, Array, Array, NDArray[np.bool_]]:
+        """Estimate the operator and the targets one step ahead from pairs.
+
+        Returns
+        -------
+        regressor : KoopmanKernelRegressor
+            The estimate of the targets, whose basis the following refers to.
+        matrix : ndarray of shape (dimension, dimension)
+            The operator.
+        coordinates : ndarray of shape (dimension, n_targets)
+            Those of the targets.
+        counted : ndarray of shape (n_pairs,), bool
+            The pairs that tell how good eigenfunctions are.
+        """
+        centers = self.centers
+        if centers is None and not every_row:
+            centers = SeparatedCenterSelector(0.0)
+        regressor = KoopmanKernelRegressor(
+            self.kernel,
+            beta=self.beta,
+            centers=centers,
+            method=self.method,
+            alpha=self.alpha,
+            trend=self.trend,
+            solver=self.solver,
+            n_jobs=self.n_jobs,
+        )
+        interpolates = every_row or self.method == "interpolation"
+        if interpolates:
+            _, group, _ = distinct_rows(X)
+            mean = group_means(np.hstack([X_next, targets]), group)[group]
+            mean_next, mean_targets = np.split(mean, [X_next.shape[1]], axis=1)
+            if every_row:
+                # Where equal states have different successors, the map is random, and
+                # its operator takes the mean.
+                targets = mean_targets
+        regressor.fit(X, targets)
+        basis = regressor._native_basis()
+        if not interpolates:
+            matrix, coordinates = _operators.regressed_operator(
+                basis, X, X_next, targets, self.alpha
+            )
+            return regressor, matrix, coordinates, np.ones(len(X), dtype=bool)
+        rows = np.asarray(regressor.center_indices_)
+        lots = group if every_row else np.arange(len(X))
+        matrix, coordinates = _operators.interpolated_operator(
+            basis, X_next, targets, rows, lots
+        )
+        # At a centre nothing is left to see, but where equal states have different
+        # successors.
+        random = np.abs(X_next - mean_next).max(axis=1) > 1e-9 * np.abs(X_next).max()
+        counted = np.isin(group, group[random]) | ~np.isin(group, group[rows])
+        return regressor, matrix, coordinates, counted
+
     def _store(
         self,
         matrix: Array,
@@ -568,7 +597,7 @@ default=None
         modes = self._weights / np.where(zero, np.inf, lam)[:, np.newaxis]
         self.modes_ = modes.reshape(len(lam), *self._output_shape)
 
-    def _found(self) -> _operators.Eigenfunctions:
+    def _eigenbasis(self) -> _operators.Eigenfunctions:
         """Return the eigenfunctions, found anew if they were not pickled."""
         self._check_has_spectrum()
         if not hasattr(self, "_eigenfunctions"):
@@ -603,7 +632,7 @@ default=None
         return n_samples * (D + columns) < powers
 
     def _sum_modes(self, X: Array, y: Array) -> None:
-        found = self._found()
+        found = self._eigenbasis()
         lam = found.eigenvalues
         for rows in gen_batches(len(X), max(_operators.BLOCK // len(lam), 1)):
             phi = self._evaluate(X[rows], found.dual, found.trend)
@@ -646,23 +675,6 @@ default=None
         for start in range(1, y.shape[1], size):
             yield slice(start, min(start + size, y.shape[1]))
 
-    def _checked_successors(self, X: Any, X_next: Any) -> Array:
-        """Validate X_next as X is validated, names of features included."""
-        if np.shape(X_next) != np.shape(X):
-            raise ValueError(
-                f"X_next has shape {np.shape(X_next)}, but X has {np.shape(X)}; pass "
-                "the successor of every row, or sample_index where some have none."
-            )
-        names, of_X = (getattr(data, "columns", None) for data in (X_next, X))
-        if names is not None and of_X is not None and list(names) != list(of_X):
-            raise ValueError(
-                f"X_next has the columns {list(names)}, but X has {list(of_X)}; bring "
-                "them into one order."
-            )
-        successors = check_array(X_next, dtype=np.float64, input_name="X_next")
-        check_magnitude(successors, smallest=0.0, name="X_next")
-        return np.asarray(successors, dtype=np.float64)
-
     def _predict(self, X: Array) -> Array:
         return self._evaluate(X, self._dual, self._trend)[:, : len(self._limit)]
 
@@ -671,97 +683,3 @@ default=None
         return _solvers.evaluate(
             regressor._sections, regressor._tail, X, dual, trend, self.n_jobs
         )
-
-
-def _pairs(X: Array, X_next: Any, sample_index: Any) -> tuple[Indices, Array]:
-    """Return the rows that have a successor, and these."""
-    links = None
-    if sample_index is not None:
-        if np.shape(sample_index)[:1] != X.shape[:1]:
-            raise ValueError(
-                f"sample_index has shape {np.shape(sample_index)}, but X has {len(X)} "
-                "rows; pass one integer a row."
-            )
-        links = successor_rows(sample_index)
-    if X_next is not None:
-        if links is not None and not np.allclose(
-            X_next[links[0]], X[links[1]], rtol=1e-6, atol=1e-6 * np.abs(X).max()
-        ):
-            raise ValueError(
-                "X_next and sample_index contradict each other: the row that is one "
-                "higher in sample_index is not the successor in X_next. Pass one of "
-                "them; behind a scaler, transform X_next, too (transform_input)."
-            )
-        if links is None and _on_another_scale(X, X_next):
-            warnings.warn(
-                "X_next seems to live on another scale than X, as it does when a "
-                "scaler in front transforms X only; then the eigenvalues are wrong. "
-                "Enable metadata routing and use Pipeline(..., "
-                "transform_input=['X_next']), or pass sample_index instead.",
-                UserWarning,
-                stacklevel=3,
-            )
-        return np.arange(len(X)), X_next
-    if links is not None:
-        if len(links[0]) == 0:
-            raise ValueError(
-                f"sample_index links none of the n_samples={len(X)} rows: no index is "
-                "one higher than another. Pass consecutive integers along each "
-                "trajectory."
-            )
-        return links[0], X[links[1]]
-    if len(X) < 2:
-        raise ValueError(
-            "n_samples=1: one row has no successor; pass a trajectory of at least two "
-            "rows, or X_next."
-        )
-    return np.arange(len(X) - 1), X[1:]
-
-
-def _on_another_scale(X: Array, X_next: Array) -> bool:
-    """Tell whether successors plainly are in other units than the states.
-
-    Along a trajectory sampled k times a step, the successor of a row is the row k
-    further on. If instead it is a linear function of that row, feature by feature, but
-    another one than the identity, then one of them has been scaled. Where rows do not
-    follow each other, only a difference of all features by a factor of 30 tells.
-    """
-    spread = X.std(axis=0)
-    varies = spread > 1e-9 * np.abs(X).max(axis=0)
-    if len(X) < 10 or not varies.any():
-        return False
-    ratio = X_next.std(axis=0)[varies] / spread[varies]
-    if (ratio > 30).all() or ((ratio > 0) & (ratio < 1 / 30)).all():
-        return True
-    now, then, spread = X[:512, varies], X_next[:512, varies], spread[varies]
-    scale = then.std(axis=0)
-    same, _ = _distance_from_line(now, then)
-    scaled = False
-    for k in range(1, min(64, len(now) // 4)):
-        following, images = now[k:], then[:-k]
-        apart = np.median(np.abs(images - following), axis=0)
-        if (apart < 0.02 * spread).all():
-            return False
-        left, slope = _distance_from_line(following, images)
-        # The map itself may be linear; but then the row tells its successor as well.
-        clear = (same > 1e-6 * scale) & (left < np.minimum(0.02 * scale, same / 3))
-        scaled |= bool((clear & (slope > 0) & (apart > 0.05 * spread)).any())
-    return scaled
-
-
-def _distance_from_line(a: Array, b: Array) -> tuple[Array, Array]:
-    """Distance of features b from their best linear functions of a, and the slopes.
-
-    In root mean square over the nearest four fifths of the rows, since trajectories end
-    in between.
-    """
-    kept = np.ones(a.shape)
-    for _ in range(3):
-        count = kept.sum(axis=0)
-        x = a - (kept * a).sum(axis=0) / count
-        y = b - (kept * b).sum(axis=0) / count
-        length = (kept * x**2).sum(axis=0)
-        slope = (kept * x * y).sum(axis=0) / np.where(length > 0, length, 1.0)
-        squares = (y - slope * x) ** 2
-        kept = (squares <= np.quantile(squares, 0.8, axis=0)).astype(float)
-    return np.sqrt((kept * squares).sum(axis=0) / kept.sum(axis=0)), slope

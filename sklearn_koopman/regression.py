@@ -484,9 +484,16 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                     "standard deviation; fit again, or fit on the states with "
                     "centers=SeparatedCenterSelector()."
                 )
-            self._basis = _solvers.NativeBasis.of(
-                self._sections, self.centers_, self._nugget, self._tail
-            )
+            try:
+                self._basis = _solvers.NativeBasis.of(
+                    self._sections, self.centers_, self._nugget, self._tail
+                )
+            except np.linalg.LinAlgError as error:
+                raise ValueError(
+                    "The Gram matrix, not pickled, was barely positive definite where "
+                    "the model was fitted, and is not on this machine: predictions are "
+                    f"all that is left. Fit again, here. {_REMEDY}"
+                ) from error
         return self._basis
 
 
