@@ -78,3 +78,15 @@ def test_spectrum(tmp_path):
     assert number(r"off by ([\d.]+) %", out) < 0.1
     # The paper's 37 centres resolve six harmonics; their conjugates and 1 count, too.
     assert "13 of 37 eigenvalues have a residual below 0.01" in out
+
+
+def test_forecast(tmp_path):
+    out = run("plot_forecast.py", tmp_path)
+    persistence, repetition, _, relifted = (
+        float(line.split()[-1])
+        for line in out.splitlines()
+        if re.match(r"persistence|repetition|this model,", line)
+    )
+    assert 300 < persistence < 400
+    assert 10 < repetition < 30
+    assert relifted < repetition

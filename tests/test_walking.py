@@ -12,6 +12,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_koopman import (
+    KernelEDMD,
     KoopmanKernelRegressor,
     SeparatedCenterSelector,
     TrajectoryKFold,
@@ -132,3 +133,29 @@ def test_tenth_of_a_second_ahead_is_level_with_kernel_ridge(walking):
         )
     )
     assert ours < 1.02 * ridge
+
+
+@pytest.mark.parametrize("trial", range(4))
+def test_operator_finds_the_stride_and_its_harmonics(walking, trial):
+    """The rate of strides, known from the autocorrelation of the knee."""
+    angles, ankles = (motion[trial] for motion in walking)
+    knee = angles[:, 1] - angles[:, 1].mean()
+    autocorrelation = np.correlate(knee, knee, mode="full")[len(knee) - 1 :]
+    rate = 150 / (60 + autocorrelation[60:400].argmax())
+    pairs = trajectory_pairs(angles, ankles, delays=5, delay_step=5)
+    model = make_pipeline(
+        StandardScaler(),
+        KernelEDMD(
+            "matern52",
+            beta=10.0,
+            centers=SeparatedCenterSelector(0.4),
+            method="least_squares",
+            alpha=1e-3,
+        ),
+    ).fit(pairs.X, pairs.y, kerneledmd__sample_index=pairs.sample_index)
+    growth_rates, frequencies = model[-1].continuous_eigenvalues(1 / 150)
+    np.testing.assert_allclose(frequencies[1:6:2], rate * np.arange(1, 4), rtol=0.03)
+    assert model[-1].residuals_[:6].max() < 0.04
+    # A gait is not quite periodic: it forgets its phase, the harmonics first.
+    assert (np.diff(growth_rates[1:6:2]) < 0).all()
+    assert -0.1 < growth_rates[1] < 0
