@@ -234,7 +234,8 @@ class ForecastScorer:
             with np.errstate(over="ignore", invalid="ignore"):
                 difference = y_pred - outputs[steps[rows]]
                 errors.append(np.square(difference).sum(axis=2))
-        return self._score(np.concatenate(errors), outputs.shape[1])
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._score(np.concatenate(errors), outputs.shape[1])
 
     def get_metadata_routing(self) -> MetadataRequest:
         """Ask for `sample_index`, which tells what rows follow each other.

@@ -15,6 +15,7 @@ from scipy.linalg import LinAlgWarning
 from sklearn import config_context
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.exceptions import NotFittedError
+from sklearn.gaussian_process.kernels import DotProduct
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import Pipeline, make_pipeline
@@ -783,6 +784,13 @@ def scattered(matrix, n=60, d=2):
     return X, X @ np.atleast_2d(matrix).T
 
 
+def lagged(x, lag):
+    x = x.reshape(len(x), -1)
+    return x[:-lag], x[lag:]
+
+
+t = np.arange(200.0)
+swing = make_pendulum(200).trajectories[0]
 grid = np.linspace(-1, 1, 40)[:, np.newaxis]
 LEGITIMATE = {
     "contraction": scattered(np.diag([0.5, 0.05])),
@@ -800,6 +808,18 @@ LEGITIMATE = {
         np.random.default_rng(2).standard_normal((50, 3)),
     ),
     "trajectories": (make_pendulum(50).X, make_pendulum(50).X_next),
+    "one feature grows": scattered(np.diag([40.0, 1.0])),
+    "all come to rest": scattered(np.zeros((2, 2))),
+    "half a period": lagged(np.sin(np.pi / 20 * t[:103]), 23),
+    "a quarter of a period": lagged(np.sin(np.pi / 20 * t[:41]), 9),
+    "relaxation": lagged(1 / (1 + 0.1 * t[:65]), 5),
+    "slow relaxation": lagged(1 / (1 + 0.02 * t[:36]), 12),
+    "ramp": lagged(t[:41] / 3, 9),
+    "small shift": (swing[:-1], swing[1:] + 0.03),
+    "still at first": lagged(
+        np.column_stack([np.r_[np.zeros(600), np.sin(t / 5)], np.sin(np.arange(800))]),
+        1,
+    ),
     "one pair": (np.ones((1, 2)), np.zeros((1, 2))),
     "fixed point": (np.ones((20, 2)), np.ones((20, 2))),
 }
@@ -809,6 +829,46 @@ LEGITIMATE = {
 def test_successors_on_the_same_scale_do_not_warn(pairs):
     X, X_next = pairs
     KernelEDMD(n_modes=0, alpha=1e-6).fit(X, X_next=X_next)  # warnings are errors
+
+
+def scaled(X, X_next):
+    return (X - X.mean(axis=0)) / X.std(axis=0), X_next
+
+
+short = trajectory_pairs(
+    make_pendulum(4, initial="random", n_trajectories=17, random_state=1).trajectories
+)
+UNSCALED = {
+    "40 times": scattered(40 * np.eye(2)),
+    "a fortieth": scattered(np.eye(2) / 40),
+    "lag": scaled(*lagged(swing, 3)),
+    "short trajectories": scaled(short.X, short.X_next),
+}
+
+
+@pytest.mark.parametrize("pairs", UNSCALED.values(), ids=UNSCALED)
+def test_successors_in_other_units_warn(pairs):
+    X, X_next = pairs
+    with pytest.warns(UserWarning, match=r"another scale.*transform_input"):
+        KernelEDMD(n_modes=0, alpha=1e-6).fit(X, X_next=X_next)
+
+
+def test_clock_vouches_for_the_scale_of_successors():
+    x = np.random.default_rng(0).uniform(1, 2, (10, 1))
+    index = np.concatenate([3 * np.arange(10), 3 * np.arange(10) + 1])
+    X = np.vstack([x, 40 * x])
+    KernelEDMD(n_modes=0).fit(X, X_next=40 * X, sample_index=index)  # no warning
+
+
+def test_successors_and_clock_agree_up_to_rounding():
+    X = np.column_stack([np.cos(np.pi / 2 * t[:12]), np.sin(np.pi / 2 * t[:12])])
+    X += 1e-3 * t[:12, np.newaxis]
+    model = KernelEDMD(n_modes=0, alpha=1e-3)
+    model.fit(X[:-1], X_next=X[1:] + 1e-8, sample_index=range(11))
+    X[:, 0] -= X[1, 0]  # a state of zero, up to rounding
+    model.fit(X[:-1], X_next=X[1:] + 1e-8, sample_index=range(11))
+    with pytest.raises(ValueError, match="contradict each other"):
+        model.fit(X[:-1], X_next=1.01 * X[1:], sample_index=range(11))
 
 
 def test_search_in_a_pipeline_over_trajectories(swings):
@@ -1036,3 +1096,157 @@ def test_uncertainty_one_step_ahead(pendulum):
     np.testing.assert_allclose(y[:, 1:], pendulum.X_next, atol=1e-3)
     assert (np.abs(y[:, 0] - pendulum.y) < 4 * std[:, 0] + 1e-9).all()
     assert model.regressor_.power_function(model.centers_).max() < 1e-6
+
+
+# Limits and rare cases
+
+
+def test_matrix_of_a_reduced_model_acts_on_parts_of_eigenfunctions(pendulum):
+    """Also the sign between both parts of a pair, which no eigenvalue tells."""
+    model = KernelEDMD(
+        "wendland_c4", beta=4.0, centers=SeparatedCenterSelector(0.1), n_modes=5
+    ).fit(pendulum.X, X_next=pendulum.X_next)
+    now, then = (
+        np.where(model.eigenvalues_.imag < 0, -phi.imag, phi.real)
+        for phi in (model.eigenfunctions(x) for x in (pendulum.X, pendulum.X_next))
+    )
+    np.testing.assert_allclose(now @ model.koopman_matrix_, then, atol=1e-3)
+
+
+def test_reduced_model_is_the_best_in_mean_square(pendulum):
+    model = KernelEDMD("matern32", beta=1.0, centers=pendulum.X[::16], n_modes=5)
+    model.fit(pendulum.X, pendulum.y, X_next=pendulum.X_next)
+    whole = clone(model).set_params(n_modes=None)
+    whole.fit(pendulum.X, pendulum.y, X_next=pendulum.X_next)
+    phi = model.eigenfunctions(pendulum.X)
+    parts = np.hstack([phi.real, phi.imag])
+    y = whole.predict(pendulum.X)
+    best = parts @ np.linalg.lstsq(parts, y, rcond=None)[0]
+    assert np.abs(best - y).max() > 1e-3  # the other modes are missed
+    np.testing.assert_allclose(model.predict(pendulum.X), best, atol=1e-9)
+
+
+@pytest.mark.parametrize("n_modes", [None, 4])
+def test_fit_in_blocks_of_rows(pendulum, n_modes, monkeypatch):
+    model = KernelEDMD(
+        "wendland_c4", beta=4.0, centers=SeparatedCenterSelector(0.23), n_modes=n_modes
+    )
+    once = clone(model).fit(pendulum.X, X_next=pendulum.X_next)
+    monkeypatch.setattr("sklearn_koopman._operators.BLOCK", 300)
+    model.fit(pendulum.X, X_next=pendulum.X_next)
+    np.testing.assert_allclose(model.residuals_, once.residuals_, rtol=1e-9)
+    np.testing.assert_allclose(
+        model.eigenfunctions(pendulum.X), once.eigenfunctions(pendulum.X), atol=1e-9
+    )
+    np.testing.assert_allclose(
+        model.predict(pendulum.X), once.predict(pendulum.X), atol=1e-9
+    )
+
+
+def test_defective_operator_has_bounded_modes():
+    """K = I and K+ = ((a, b), (0, a)): both eigenvectors are one."""
+    model = KernelEDMD("wendland_c0", beta=1.0)
+    model.fit([[0.0], [1.0]], X_next=[[0.75], [1.75]])
+    np.testing.assert_array_equal(model.eigenvalues_, [0.0625, 0.0625])
+    assert np.abs(model.modes_).max() < 10
+
+
+def test_polynomials_that_the_centres_do_not_see():
+    """Two centres in three dimensions: least squares has them from the other rows."""
+    rng = np.random.default_rng(0)
+    X, F = rng.uniform(-1, 1, (40, 3)), 0.5 * rng.standard_normal((3, 3))
+    model = KernelEDMD(trend="linear", method="least_squares", centers=X[:2])
+    model.fit(X, X_next=X @ F)
+    assert model.rank_ == 4
+    y = model.forecast(X, 3)[:, 2]
+    np.testing.assert_allclose(y, X @ np.linalg.matrix_power(F, 3), atol=1e-12)
+    model = KernelEDMD(trend="linear").fit(X[:2], X_next=X[:2] @ F)
+    assert model.rank_ == 2
+    np.testing.assert_allclose(model.predict(X[:2]), X[:2] @ F, atol=1e-12)
+
+
+def test_feature_that_is_constant(pendulum):
+    """One polynomial vanishes everywhere, and has no size to be divided by."""
+    X, X_next = (np.insert(x, 1, 3.0, axis=1) for x in (pendulum.X, pendulum.X_next))
+    model = KernelEDMD(trend="linear", method="least_squares", centers=X[::8])
+    model.fit(X, X_next=X_next)
+    assert np.isfinite(model.modes_).all()
+    np.testing.assert_allclose(model.forecast(X[:3], 50)[..., 1], 3.0)
+
+
+def test_modes_of_eigenvalues_that_vanish_up_to_rounding():
+    for seed in range(3):
+        X = np.random.default_rng(seed).uniform(-1, 1, (40, 2))
+        model = KernelEDMD(DotProduct(1.0), centers=X[:3])
+        model.fit(X, X_next=X @ np.array([[0.9, 0.6], [-0.3, -0.2]]))  # of rank one
+        lost = np.abs(model.eigenvalues_) < 1e-14
+        assert lost.sum() == 1
+        np.testing.assert_array_equal(model.modes_[lost], 0)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e6])
+def test_divergence_is_told_by_step_and_output(scale):
+    """2 ** s passes 2000 in step 11, however large another output is."""
+    x = np.linspace(-1, 1, 30)[:, np.newaxis]
+    model = KernelEDMD("gaussian", trend="linear", centers=x[::6])
+    model.fit(x, np.hstack([2 * x, np.full((30, 1), scale)]), X_next=2 * x)
+    message = "^2 of 2 forecasts diverge, the first at step 11: .* 1000 times"
+    with pytest.warns(RuntimeWarning, match=message):
+        model.forecast([[1.0], [-0.9]], 15)
+
+
+@pytest.mark.parametrize("n_modes", [0, 2])
+def test_what_cannot_be_followed_is_nan(n_modes, monkeypatch):
+    """In blocks of steps by powers, and by eigenvalues, whose powers overflow."""
+    monkeypatch.setattr("sklearn_koopman._operators.BLOCK", 300)
+    x = np.linspace(-1, 1, 30)[:, np.newaxis]
+    model = KernelEDMD("gaussian", trend="linear", centers=x[::6], n_modes=n_modes)
+    model.fit(x, X_next=2 * x)
+    with pytest.warns(RuntimeWarning, match="diverge"):
+        y = model.forecast(x, 2000)
+    assert not np.isinf(y).any()
+    assert np.isnan(y[:, -1]).all()
+    np.testing.assert_allclose(y[:, 9, 0], 2.0**10 * x[:, 0], rtol=1e-6)
+
+
+def test_rows_without_successor_change_no_interpolant():
+    rng = np.random.default_rng(0)
+    linked, alone = rng.uniform(-1, 1, (20, 1)), rng.uniform(1, 2, (10, 1))
+    X = np.vstack([linked, 0.9 * linked, alone])
+    clock = 3 * np.arange(20)
+    index = np.concatenate([clock, clock + 1, 100 + 2 * np.arange(10)])
+    y = np.sin(5 * X)
+    model = KernelEDMD(beta=1.0).fit(X, y, sample_index=index)
+    pairs = KernelEDMD(beta=1.0).fit(linked, y[:20], X_next=0.9 * linked)
+    np.testing.assert_array_equal(model.predict(X), pairs.predict(X))
+
+
+def test_outputs_of_all_rows_are_those_of_the_regressor():
+    """Least squares with a clock: the last row of a trajectory has an output, too."""
+    X = make_pendulum(60, step=0.02).X
+    y = np.sin(3 * X[:, 0])
+    settings = {"centers": X[:-1:4], "method": "least_squares", "alpha": 0.1}
+    model = KernelEDMD(**settings).fit(X, y, sample_index=range(60))
+    regressor = KoopmanKernelRegressor(**settings).fit(X, y)
+    np.testing.assert_allclose(model.predict(X), regressor.predict(X), rtol=1e-9)
+    # Without centres, all rows that have a successor are, however near to each other.
+    model.set_params(centers=None).fit(X, y, sample_index=range(60))
+    np.testing.assert_array_equal(model.center_indices_, range(59))
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_chosen_centres_take_the_first_of_equal_rows(given):
+    x = np.linspace(-1, 1, 12)[:, np.newaxis]
+    centers = x if given else SeparatedCenterSelector(0.01)
+    model = KernelEDMD("gaussian", beta=0.3, centers=centers)
+    model.fit(np.vstack([x, x]), X_next=np.vstack([x / 2, -x / 2]))
+    np.testing.assert_allclose(model.predict(x), x / 2, atol=1e-9)
+    np.testing.assert_allclose(model.forecast(x, 2)[:, 1], x / 4, atol=1e-3)
+
+
+def test_eigenfunctions_on_a_machine_with_other_eigenvalues(pendulum):
+    model = KernelEDMD("wendland_c4", beta=4.0).fit(pendulum.X[:50])
+    loaded = pickle.loads(pickle.dumps(model))
+    loaded.eigenvalues_ = loaded.eigenvalues_.real + 0j  # no pair is left
+    with pytest.raises(np.linalg.LinAlgError, match="fit again, or with n_modes"):
+        loaded.eigenfunctions(pendulum.X)

@@ -318,3 +318,70 @@ def test_bad_data(swings, model):
         ValueError, match="y has 2 outputs, but the estimator forecasts 1"
     ):
         forecast_score(4)(model, pairs.X, pairs.X_next, pairs.sample_index)
+
+
+@pytest.fixture(scope="module")
+def states():
+    data = make_pendulum(40, initial="random", n_trajectories=3, random_state=0)
+    pairs = trajectory_pairs(data.trajectories)
+    model = KernelEDMD(trend="linear", n_modes=0)
+    return pairs, model.fit(pairs.X, X_next=pairs.X_next)
+
+
+def test_score_in_blocks_of_starts(states, monkeypatch):
+    pairs, model = states
+    once = forecast_score(4)(model, pairs.X, pairs.y, pairs.sample_index)
+    monkeypatch.setattr("sklearn_koopman.scoring.BLOCK", 40)
+    blocks = forecast_score(4)(model, pairs.X, pairs.y, pairs.sample_index)
+    assert blocks == pytest.approx(once, rel=1e-12)
+
+
+def test_the_first_row_may_end_a_trajectory(states):
+    """A clock that runs backwards, and the only start there is."""
+    pairs, model = states
+    x = pairs.X[:5]
+    forwards = forecast_score(4)(model, x, None, range(5))
+    assert forecast_score(4)(model, x[::-1], None, range(4, -1, -1)) == forwards
+
+
+def test_an_error_of_the_tolerance_is_tolerated():
+    """A state at rest, off by one from what it is said to be."""
+    model = KernelEDMD("wendland_c0", n_modes=0).fit([[0.0], [0.0]])
+    assert valid_horizon(3, 1.0)(model, np.zeros((3, 1)), np.ones((3, 1))) == 3
+
+
+def test_states_at_rest_follow_each_other():
+    """Equal rows: the next one is the successor, and none runs in circles."""
+    x = np.concatenate([np.zeros(5), np.linspace(0, 1, 6)])[:, np.newaxis]
+    model = KernelEDMD(trend="linear", n_modes=0, alpha=1e-3).fit(x)
+    X, y = x[:-1], x[1:]
+    expected = forecast_score(3)(model, X, y, sample_index=range(10))
+    assert forecast_score(3)(model, X, y) == expected
+
+
+def test_outputs_in_single_precision_are_found_among_states_in_double(states):
+    pairs, model = states
+    wanted = forecast_score(4)(model, pairs.X, pairs.y, pairs.sample_index)
+    single = forecast_score(4)(model, pairs.X, pairs.y.astype(np.float32))
+    assert single == pytest.approx(wanted, abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["now and then a state", "states as objects"])
+def test_outputs_that_do_not_tell_what_follows(states, kind):
+    """Then the rows are one trajectory."""
+    pairs, _ = states
+    X = pairs.X[:39]
+    y = np.where(np.arange(39) % 4 == 0, pairs.X_next[:39, 0], -7.0)
+    model = KernelEDMD(trend="linear", n_modes=0).fit(X, y, X_next=pairs.X_next[:39])
+    wanted = forecast_score(4)(model, X, y, sample_index=range(39))
+    states = X.astype(object) if kind == "states as objects" else X
+    assert forecast_score(4)(model, states, y) == wanted
+
+
+def test_divergence_by_eigenvalues_scores_what_was_asked_for():
+    """Their powers reach numbers whose squares overflow, without a warning."""
+    x = 2.0 ** np.arange(-10, 4)[:, np.newaxis]
+    model = KernelEDMD(trend="linear", n_modes=2).fit(x)
+    trajectory = 2.0 ** np.arange(-1000, 20)[:, np.newaxis] + 1e-3
+    scorer = forecast_score(1010, error_score=-7.0)
+    assert scorer(model, trajectory, None, range(1020)) == -7.0

@@ -662,3 +662,31 @@ def test_residuals_without_other_rows_leave_out_one_centre_at_a_time(
     once = model.residuals_ / np.hypot(1, 1 / np.abs(model.eigenvalues_))
     assert_allclose(once, expected, rtol=1e-9, atol=1e-11)
     assert_in_order(model)
+
+
+def test_as_many_other_rows_as_centres_are_enough(twisted):
+    """Else one centre at a time would be left out."""
+    X, X_next = twisted
+    model = KernelEDMD(beta=1.5, centers=X[:45]).fit(X, X_next=X_next)
+    phi, phi_next = (model.eigenfunctions(x[45:]) for x in (X, X_next))
+    expected = root_mean_square(phi_next - model.eigenvalues_ * phi)
+    expected /= root_mean_square(phi)
+    assert_allclose(model.residuals_, expected, rtol=1e-9)
+
+
+def test_nothing_is_known_of_an_interpolant_that_needs_every_centre():
+    """Three states in the plane determine a linear trend, and two do not."""
+    X = np.random.default_rng(0).uniform(-1, 1, (3, 2))
+    model = KernelEDMD(trend="linear").fit(X, X_next=0.5 * X + 0.1)
+    assert_allclose(np.sort(model.eigenvalues_.real), [0.5, 0.5, 1.0], atol=1e-12)
+    assert np.isinf(model.residuals_).all()
+
+
+@pytest.mark.parametrize("times", [2, 3])
+def test_repeated_pairs_tell_no_more_than_one(twisted, times):
+    """The mean of three equal successors differs from them by rounding."""
+    X, X_next = twisted
+    once = KernelEDMD(beta=1.5).fit(X, X_next=X_next)
+    again = KernelEDMD(beta=1.5)
+    again.fit(np.tile(X, (times, 1)), X_next=np.tile(X_next, (times, 1)))
+    assert_allclose(again.residuals_, once.residuals_, rtol=1e-6)
