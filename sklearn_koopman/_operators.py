@@ -31,6 +31,7 @@ from scipy.optimize import linear_sum_assignment
 from sklearn.utils import gen_batches
 
 from sklearn_koopman._solvers import (
+    KernelSections,
     NativeBasis,
     evaluate,
     least_squares,
@@ -203,10 +204,11 @@ def expansion(
     """
     lu, pivots, _ = dgetrf(vectors)
     rcond, _ = dgecon(lu, np.linalg.norm(vectors, 1))
-    if rcond > np.finfo(float).eps:
+    dependent = 10 * len(vectors) * np.finfo(float).eps
+    if rcond > dependent:
         weights, _ = dgetrs(lu, pivots, targets)
     else:
-        weights = lstsq(vectors, targets, lapack_driver="gelsy")[0]
+        weights = lstsq(vectors, targets, cond=dependent, lapack_driver="gelsy")[0]
     return unpack_weights(weights, eigenvalues), float(rcond)
 
 
@@ -247,24 +249,20 @@ def measure(
     lam = eigenfunctions.eigenvalues
     partner = np.arange(len(lam)) + np.sign(lam.imag).astype(np.intp)
     size, counted_size, defect = np.zeros((3, len(lam)))
+    dual, trend = eigenfunctions.dual, eigenfunctions.trend
     for rows in gen_batches(len(X), max(BLOCK // len(lam), 1)):
-        now, then = (
-            evaluate(
-                basis.sections,
-                basis.tail,
-                x[rows],
-                eigenfunctions.dual,
-                eigenfunctions.trend,
-            )
-            for x in (X, X_next)
-        )
+        now = evaluate(basis.sections, basis.tail, X[rows], dual, trend)
+        size += np.einsum("ij,ij->j", now, now)
+        kept = counted[rows]
+        if not kept.any():
+            continue
+        now, x = now[kept], X_next[rows][kept]
+        then = evaluate(basis.sections, basis.tail, x, dual, trend)
         # Packed: lambda (a + ib) has the parts Re a - Im b and Re b + Im a.
         then -= now * lam.real
         then += now[:, partner] * lam.imag
-        kept = counted[rows, np.newaxis]
-        defect += np.einsum("ij,ij->j", then, then * kept)
-        counted_size += np.einsum("ij,ij->j", now, now * kept)
-        size += np.einsum("ij,ij->j", now, now)
+        defect += np.einsum("ij,ij->j", then, then)
+        counted_size += np.einsum("ij,ij->j", now, now)
     pair = partner != np.arange(len(lam))
     for sums in (size, counted_size, defect):
         sums[pair] += sums[partner][pair]
@@ -289,6 +287,7 @@ def analyse(
     X: Array,
     X_next: Array,
     counted: NDArray[np.bool_],
+    alpha: float,
     n_modes: int | None,
 ) -> Analysis:
     """Find the eigenfunctions, their residuals, and the expansion of targets.
@@ -301,13 +300,21 @@ def analyse(
     eigenvalues, vectors = spectrum(matrix)
     weights, rcond = expansion(vectors, eigenvalues, targets)
     found = Eigenfunctions(eigenvalues, *basis.expand(vectors))
+    few = counted.sum() < len(basis.lower)
+    counted = counted & (not few)
     size, counted_size, defect = measure(basis, found, X, X_next, counted)
     size = np.sqrt(size / len(X))
     residuals = np.sqrt(_ratio(defect, counted_size))
-    if counted.sum() < len(basis.lower):
+    if few:
         # Interpolation has made phi(f(x)) - lambda phi(x) vanish at the centres. Apart
         # from them phi itself is uncertain, both at x and at f(x).
-        errors = unpack(left_out_errors(basis, found.dual), eigenvalues)
+        left_out = basis
+        if alpha > 0 and not basis.excess.any():  # a fit of all rows, at all of them
+            assert isinstance(basis.sections, KernelSections)
+            centers = basis.sections.centers
+            nugget = np.full(len(centers), alpha)
+            left_out = NativeBasis.of(basis.sections, centers, nugget, basis.tail)
+        errors = unpack(left_out_errors(left_out, found.dual), eigenvalues)
         uncertainty = np.full(len(size), np.inf)
         if len(errors):
             uncertainty = np.sqrt(np.square(np.abs(errors)).mean(axis=0))

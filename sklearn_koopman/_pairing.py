@@ -53,7 +53,7 @@ def successors(X: Array, X_next: Any, sample_index: Any) -> tuple[Indices, Array
                 "higher in sample_index is not the successor in X_next. Pass one of "
                 "them; behind a scaler, transform X_next, too (transform_input)."
             )
-        if links is None and on_another_scale(X, X_next):
+        if (links is None or len(links[0]) == 0) and on_another_scale(X, X_next):
             warnings.warn(
                 "X_next seems to live on another scale than X, as it does when a "
                 "scaler in front transforms X only; then the eigenvalues are wrong. "
@@ -94,7 +94,10 @@ def on_another_scale(X: Array, X_next: Array) -> bool:
     ratio = X_next.std(axis=0)[varies] / spread[varies]
     if (ratio > 30).all() or ((ratio > 0) & (ratio < 1 / 30)).all():
         return True
-    now, then, spread = X[:512, varies], X_next[:512, varies], spread[varies]
+    # Eight features are enough, and many take long.
+    shown = np.flatnonzero(varies)[:8]
+    now, then, spread = X[:512, shown], X_next[:512, shown], spread[shown]
+    ratio = ratio[:8]
     scale = then.std(axis=0)
     same, _ = _distance_from_line(now, then)
     scaled = False
@@ -106,7 +109,9 @@ def on_another_scale(X: Array, X_next: Array) -> bool:
         left, slope = _distance_from_line(following, images)
         # The map itself may be linear; but then the row tells its successor as well.
         clear = (same > 1e-6 * scale) & (left < np.minimum(0.02 * scale, same / 3))
-        scaled |= bool((clear & (slope > 0) & (apart > 0.05 * spread)).any())
+        # Scaled as a whole, and not just from one turn of a spiral to the next.
+        clear &= np.abs(slope - ratio) < 0.1 * ratio
+        scaled |= bool((clear & (apart > 0.05 * spread)).any())
     return scaled
 
 

@@ -136,8 +136,9 @@ default=None
     modes_ : ndarray of shape (n_modes,) or (n_modes, n_outputs), complex
         Koopman modes: the expansion of the outputs G in eigenfunctions, so that
         ``(eigenfunctions(X) * eigenvalues_ ** s) @ modes_`` is the forecast for s >= 1
-        steps, if the operator has a full set of eigenfunctions. Zero where the
-        eigenvalue is zero up to rounding.
+        steps, if the operator has a full set of eigenfunctions. Modes are zero where
+        the eigenvalue is zero up to rounding; what such eigenfunctions contribute to
+        the first step is missing then.
     rank_ : int
         The number of functions that the operator acts on: the centres that are not
         numerically dependent on others and, for least squares, the polynomials that
@@ -152,8 +153,9 @@ default=None
         The kernel, with its scale and dimension.
     regressor_ : KoopmanKernelRegressor
         The estimate one step ahead of the outputs, if any were given, and behind them
-        of the states, from the rows that have a successor: for its power function and
-        standard deviation. `n_modes` has no influence on it.
+        of the states: for its power function and standard deviation. It is made from
+        the rows that have a successor, and whole: where least squares has more rows for
+        `y`, or with `n_modes`, its predictions are others than those of this estimator.
     n_features_in_ : int
         Number of features seen during `fit`.
     feature_names_in_ : ndarray of shape (n_features_in_,)
@@ -256,7 +258,9 @@ default=None
         X : array-like of shape (n_samples, n_features)
             The states.
         y : array-like of shape (n_samples,) or (n_samples, n_outputs), default=None
-            The outputs one step after each row. By default the successor states.
+            The outputs one step after each row. By default the successor states (but
+            `score` needs them). Least squares uses them all, those of rows without a
+            successor, too; interpolation those of the centres.
         X_next : array-like of shape (n_samples, n_features), default=None
             The state one step after each row, on the scale of `X`.
         sample_index : array-like of shape (n_samples,), default=None
@@ -282,7 +286,9 @@ default=None
         Warns
         -----
         UserWarning
-            If `X_next` plainly lives on another scale than `X`.
+            If `X_next` plainly lives on another scale than `X`: if the successors of
+            rows in the order of time are later rows that have been scaled or shifted,
+            or if all features differ by a factor of 30.
         LinAlgWarning
             If dependent centres were left out, and that may matter.
         """
@@ -306,6 +312,7 @@ default=None
             )
         if self.n_modes is not None:
             check_integer(self.n_modes, "n_modes", 0)
+        consecutive = X_next is None and sample_index is None
         if X_next is not None:
             X_next = _pairing.check_successors(given, X_next)
         here, X_next = _pairing.successors(X, X_next, sample_index)
@@ -319,7 +326,7 @@ default=None
                 X[here], X_next, targets, every_row=self.centers is None and not more
             )
         except ValueError as error:
-            if len(here) == len(X):
+            if len(here) == len(X) or "row" not in str(error):
                 raise
             raise ValueError(
                 f"{error} (Rows are counted among the {len(here)} with a successor.)"
@@ -341,6 +348,7 @@ default=None
                 X[here],
                 X_next,
                 counted,
+                self.alpha,
                 self.n_modes,
             )
 
@@ -354,8 +362,12 @@ default=None
             self.center_indices_ = here[self.center_indices_]
         self.rcond_ = regressor.rcond_
         self.rank_ = len(matrix)
+        self._consecutive = consecutive
         self._output_shape = (X if y is None else y).shape[1:]
-        self._limit = DIVERGED * np.abs(outputs).max(axis=0)
+        largest = np.abs(outputs if more else targets[:, : outputs.shape[1]]).max(
+            axis=0
+        )
+        self._limit = DIVERGED * np.maximum(largest, 1e-6 * largest.max())
         self._store(matrix, coordinates, analysis)
         return self
 
@@ -415,14 +427,18 @@ default=None
         y = np.full((len(X), n_steps, len(self._limit)), np.nan)
         y[:, 0] = self._predict(X)
         with np.errstate(over="ignore", invalid="ignore"):
-            if relift:
+            if n_steps == 1:
+                pass
+            elif relift:
                 self._relift(X, y)
             elif self._by_eigenvalues(len(X), n_steps):
                 self._sum_modes(X, y)
             else:
                 self._apply_powers(X, y)
             y[~np.isfinite(y)] = np.nan
-            fine = np.abs(y) <= np.where(self._limit > 0, self._limit, np.inf)
+            # A start far outside is no divergence, if the forecast comes back.
+            limit = np.where(self._limit > 0, self._limit, np.inf)
+            fine = np.abs(y) <= np.maximum(limit, np.abs(y[:, :1]))
         diverged = ~fine.all(axis=2)
         if diverged.any():
             warnings.warn(
@@ -448,8 +464,8 @@ default=None
         -------
         phi : ndarray of shape (n_samples, n_modes), complex
             Eigenfunctions in the order of `eigenvalues_`, of mean square one over the
-            training data, and real and positive at its first row, where they do not
-            vanish there.
+            training rows that have a successor, and real and positive at the first of
+            them, where they do not vanish there.
 
         Raises
         ------
@@ -498,7 +514,15 @@ default=None
         if state.get("_start") is not None:
             state.pop("_eigenfunctions", None)
             state.pop("_weights", None)
+        elif "_start" in state:
+            state.pop("koopman_matrix_")
         return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore the matrix of a reduced model, which its eigenvalues tell."""
+        super().__setstate__(state)
+        if state.get("_start", 0) is None:
+            self.koopman_matrix_ = _operators.block_diagonal(state["eigenvalues_"])
 
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
@@ -549,7 +573,9 @@ default=None
             matrix, coordinates = _operators.regressed_operator(
                 basis, X, X_next, targets, self.alpha
             )
-            return regressor, matrix, coordinates, np.ones(len(X), dtype=bool)
+            # With every state a centre, a fit tells no more than an interpolant.
+            counted = np.full(len(X), self.centers is not None)
+            return regressor, matrix, coordinates, counted
         rows = np.asarray(regressor.center_indices_)
         lots = group if every_row else np.arange(len(X))
         matrix, coordinates = _operators.interpolated_operator(
@@ -568,7 +594,7 @@ default=None
         analysis: _operators.Analysis | None,
     ) -> None:
         """Store the operator, or what `n_modes` leaves of it."""
-        for stale in ("_eigenfunctions", "_weights"):
+        for stale in ("_eigenfunctions", "_weights", "_factors", "_rcond_eigenvectors"):
             self.__dict__.pop(stale, None)
         n_outputs = len(self._limit)
         self.koopman_matrix_ = matrix
@@ -628,8 +654,10 @@ default=None
         if len(self.eigenvalues_) == 0 or self._rcond_eigenvectors < WELL_CONDITIONED:
             return False
         D, columns = len(self.koopman_matrix_), n_steps * len(self._limit)
-        powers = (D + D / 2 + n_samples) * columns
-        return n_samples * (D + columns) < powers
+        by_eigenvalues = n_samples * (D + columns)
+        if not hasattr(self, "_eigenfunctions"):  # after loading
+            by_eigenvalues += 25 * D**2
+        return by_eigenvalues < (D + D / 2 + n_samples) * columns
 
     def _sum_modes(self, X: Array, y: Array) -> None:
         found = self._eigenbasis()

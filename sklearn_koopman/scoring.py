@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
+from numbers import Real
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,8 +66,8 @@ def forecast_score(
     Raises
     ------
     ValueError
-        If a parameter is outside its range; from the scorer, if no row is followed by
-        enough others.
+        If a parameter is outside its range; from the scorer, if it cannot know which
+        rows follow each other, or no row is followed by enough others.
 
     See Also
     --------
@@ -76,10 +77,11 @@ def forecast_score(
     -----
     The scorer has to know which of the held-out rows follow each other. With metadata
     routing enabled, ``sample_index`` given to the ``fit`` of the search reaches both
-    the estimator and the scorer, and tells. Without, where `y` holds some of the
-    columns of the states, a row is followed by the one with these columns. Otherwise
-    the held-out rows are taken for one trajectory in the order of time, which is right
-    if every fold leaves out one (a warning tells if some are far apart).
+    the estimator and the scorer, and tells. Without, it can tell if `y` holds some of
+    the columns of the states: a row is followed by the one with these values, as long
+    as no other has the same. Otherwise the held-out rows are one trajectory in the
+    order of time if those of the training data were, with neither `X_next` nor
+    `sample_index`, and an error if not.
 
     Examples
     --------
@@ -105,7 +107,8 @@ def forecast_score(
     if discount > 1:
         raise ValueError(f"discount must be at most 1, got {discount!r}.")
     check_flag(relift, "relift")
-    if error_score != "raise" and not isinstance(error_score, int | float):
+    number: Any = error_score
+    if number != "raise" and (isinstance(number, bool) or not isinstance(number, Real)):
         raise ValueError(
             f"error_score must be 'raise' or a number, got {error_score!r}."
         )
@@ -139,8 +142,8 @@ def valid_horizon(
     Raises
     ------
     ValueError
-        If a parameter is outside its range; from the scorer, if no row is followed by
-        enough others.
+        If a parameter is outside its range; from the scorer, if it cannot know which
+        rows follow each other, or no row is followed by enough others.
 
     See Also
     --------
@@ -161,12 +164,14 @@ def valid_horizon(
     return _ValidHorizon(n_steps, relift, float(tolerance))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ForecastScorer:
     """Compares forecasts with what followed; see :func:`forecast_score`."""
 
     n_steps: int
     relift: bool
+
+    _name: ClassVar[str]
 
     def __call__(
         self, estimator: Any, X: Any, y: Any = None, sample_index: Any = None
@@ -190,15 +195,15 @@ class ForecastScorer:
             Greater is better.
         """
         check_consistent_length(X, y, sample_index)
-        following = _following(X, y, sample_index)
-        operator = estimator
-        if isinstance(estimator, Pipeline):
-            X, operator = estimator[:-1].transform(X), estimator[-1]
+        operator = estimator[-1] if isinstance(estimator, Pipeline) else estimator
         if not hasattr(operator, "forecast"):
             raise TypeError(
                 f"{type(operator).__name__} has no method forecast; score a "
                 "KernelEDMD, or a pipeline that ends in one."
             )
+        following = self._links(operator, X, y, sample_index)
+        if isinstance(estimator, Pipeline) and len(estimator) > 1:
+            X = estimator[:-1].transform(X)
         # Row i holds the outputs of the steps after i: its own, if y is given.
         n = len(following)
         chain = [np.arange(n)]
@@ -237,6 +242,10 @@ class ForecastScorer:
         with np.errstate(over="ignore", invalid="ignore"):
             return self._score(np.concatenate(errors), outputs.shape[1])
 
+    def __repr__(self) -> str:
+        parameters = (f"{f.name}={getattr(self, f.name)!r}" for f in fields(self))
+        return f"{self._name}({', '.join(parameters)})"
+
     def get_metadata_routing(self) -> MetadataRequest:
         """Ask for `sample_index`, which tells what rows follow each other.
 
@@ -249,15 +258,37 @@ class ForecastScorer:
         request.score.add_request(param="sample_index", alias=True)
         return request
 
+    def _links(self, operator: Any, X: Any, y: Any, sample_index: Any) -> Indices:
+        """Return which row follows each row, -1 for none."""
+        n = np.shape(X)[0]
+        following = np.full(n, -1)
+        if sample_index is not None:
+            rows, successors = successor_rows(sample_index)
+            following[rows] = successors
+            return following
+        seen = _following(X, y)
+        if seen is not None:
+            return seen
+        if not getattr(operator, "_consecutive", False):
+            raise ValueError(
+                "The scorer does not know which of the held-out rows follow each "
+                "other: pass sample_index to it; in a search, to fit, with "
+                "sklearn.set_config(enable_metadata_routing=True)."
+            )
+        following[:-1] = np.arange(1, n)
+        return following
+
     def _score(self, squared: Array, n_outputs: int) -> float:
         """Turn squared distances of shape (n_starts, n_steps) into a score."""
         raise NotImplementedError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class _HorizonError(ForecastScorer):
     discount: float
     error_score: str | float
+
+    _name = "forecast_score"
 
     def _score(self, squared: Array, n_outputs: int) -> float:
         weights = self.discount ** np.arange(self.n_steps)
@@ -272,9 +303,11 @@ class _HorizonError(ForecastScorer):
         return -float(np.sqrt(mean / n_outputs))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class _ValidHorizon(ForecastScorer):
     tolerance: float
+
+    _name = "valid_horizon"
 
     def _score(self, squared: Array, n_outputs: int) -> float:
         # NaN is no error that is tolerated.
@@ -282,49 +315,41 @@ class _ValidHorizon(ForecastScorer):
         return float(np.logical_and.accumulate(within, axis=1).sum(axis=1).mean())
 
 
-def _following(X: Any, y: Any, sample_index: Any) -> Indices:
-    """Return which row follows each row, -1 for none."""
-    n = np.shape(X)[0]
-    following = np.full(n, -1)
-    if sample_index is not None:
-        rows, successors = successor_rows(sample_index)
-        following[rows] = successors
-        return following
+def _following(X: Any, y: Any) -> Indices | None:
+    """Find the rows whose states hold the outputs of each row, -1 for none.
+
+    None if outputs are no states, or those of several rows.
+    """
     states = np.asarray(X)
-    if y is not None and states.dtype.kind in "iuf":
-        outputs = np.asarray(y).reshape(n, -1)
-        width = outputs.shape[1]
-        for first in range(states.shape[1] - width + 1):
-            found = _rows_of(outputs, states[:, first : first + width])
-            if np.mean(found >= 0) > 0.5:
-                return found
-    following[:-1] = np.arange(1, n)
-    if states.dtype.kind == "f" and n > 2:
-        steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
-        far = int(steps.argmax())
-        if steps[far] > 5 * np.quantile(steps, 0.9):
-            warnings.warn(
-                f"The {n} held-out rows are taken for one trajectory, but rows {far} "
-                f"and {far + 1} are far apart. If they hold several, give sample_index "
-                "to fit with metadata routing enabled, or leave out one trajectory a "
-                "fold.",
-                UserWarning,
-                stacklevel=3,
-            )
-    return following
+    if y is None or states.dtype.kind not in "iuf":
+        return None
+    outputs = np.asarray(y).reshape(len(states), -1)
+    width = outputs.shape[1]
+    best, best_share = None, 0.0
+    for first in range(states.shape[1] - width + 1):
+        found, ambiguous = _rows_of(outputs, states[:, first : first + width])
+        share = float(np.mean(found >= 0))
+        if ambiguous < 0.01 and share > max(0.5, best_share):
+            best, best_share = found, share
+    return best
 
 
-def _rows_of(values: Array, states: Array) -> Indices:
-    """Find the row of states that each row of values equals: the next one, or any."""
+def _rows_of(values: Array, states: Array) -> tuple[Indices, float]:
+    """Find the row of states that each row of values equals, -1 for none or several.
+
+    The share of the latter is returned as well. The coarser precision counts.
+    """
     precision = np.result_type(np.float32)
     if values.dtype != precision and states.dtype != precision:
         precision = np.result_type(values, states)
-    values, states = values.astype(precision), states.astype(precision)
+    n = len(states)
     _, first, group = np.unique(
-        np.vstack([states, values]), axis=0, return_index=True, return_inverse=True
+        np.vstack([states, values]).astype(precision),
+        axis=0,
+        return_index=True,
+        return_inverse=True,
     )
-    found = first[group.reshape(-1)[len(states) :]]
-    found[found >= len(states)] = -1
-    following = (values[:-1] == states[1:]).all(axis=1)
-    found[:-1][following] = np.flatnonzero(following) + 1
-    return np.asarray(found, dtype=np.intp)
+    group = group.reshape(-1)
+    times = np.bincount(group[:n], minlength=len(first))[group[n:]]
+    found = np.where(times == 1, first[group[n:]], -1)
+    return found.astype(np.intp), float(np.mean(times > 1))

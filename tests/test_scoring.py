@@ -99,6 +99,7 @@ def test_states_are_the_default_outputs(swings):
     )
     # A single trajectory needs no clock.
     first = trajectories[1]
+    model.fit(first)
     errors = errors_by_loops(model, [first], [first], 6)
     assert forecast_score(6)(model, first) == pytest.approx(
         -np.sqrt(errors.mean() / 2), rel=1e-9
@@ -158,13 +159,40 @@ def test_successors_are_found_whatever_the_lag_and_precision(swings):
     assert scorer(model, single, pairs.y) == wanted
 
 
-def test_ends_that_cannot_be_seen_are_warned_of(swings, model):
-    """Outputs that are no states, several trajectories, and no clock."""
+def test_rows_that_cannot_be_linked_are_refused(swings, model):
+    """Outputs that are no states, a model of several trajectories, and no clock."""
     pairs = trajectory_pairs(*swings)
-    with pytest.warns(UserWarning, match=r"rows 53 and 54 are far apart.*sample_index"):
+    for scorer in (forecast_score(4), valid_horizon(4, 0.1)):
+        with pytest.raises(ValueError, match=r"pass sample_index.*metadata_routing"):
+            scorer(model, pairs.X, pairs.y)
+    with pytest.raises(ValueError, match="pass sample_index"):
+        forecast_score(4)(model, pairs.X)
+    # A model of one trajectory in the order of time is scored on another.
+    trajectories, outputs = swings
+    one = KernelEDMD(n_modes=0).fit(trajectories[1][:-1], outputs[1][1:])
+    x, y = trajectories[2][:-1], outputs[2][1:]
+    assert forecast_score(4)(one, x, y) == forecast_score(4)(
+        one, x, y, sample_index=range(len(x))
+    )
+
+
+@pytest.mark.parametrize("decimals", [1, 2])
+def test_rounded_states_are_not_mistaken_for_each_other(swings, decimals):
+    """Where values occur more than once, they do not tell what follows."""
+    trajectories, _ = swings
+    rounded = [x.round(decimals) for x in trajectories]
+    pairs = trajectory_pairs(rounded, [x[:, 1] for x in rounded])
+    model = KernelEDMD(n_modes=0, alpha=1e-3)
+    model.fit(pairs.X, pairs.y, sample_index=pairs.sample_index)
+    with pytest.raises(ValueError, match="pass sample_index"):
         forecast_score(4)(model, pairs.X, pairs.y)
-    first = pairs.groups == 1
-    forecast_score(4)(model, pairs.X[first], pairs.y[first])  # no warning
+
+
+def test_pipeline_of_one_step(swings):
+    trajectories, _ = swings
+    pipeline = make_pipeline(KernelEDMD(n_modes=0)).fit(trajectories[1])
+    score = forecast_score(4)(pipeline, trajectories[1])
+    assert score == forecast_score(4)(pipeline[-1], trajectories[1])
 
 
 def test_names_of_features_reach_the_estimator(swings):
@@ -279,7 +307,9 @@ def test_scorers_can_be_pickled_compared_and_read():
     for scorer in (forecast_score(5, error_score=-9.0), valid_horizon(3, 0.1)):
         assert pickle.loads(pickle.dumps(scorer)) == scorer
         assert clone(scorer, safe=False) == scorer
-    assert "n_steps=5" in repr(forecast_score(5))
+    assert repr(valid_horizon(3, 0.1)) == (
+        "valid_horizon(n_steps=3, relift=False, tolerance=0.1)"
+    )
     assert forecast_score(5) != forecast_score(6)
 
 
@@ -336,14 +366,6 @@ def test_score_in_blocks_of_starts(states, monkeypatch):
     assert blocks == pytest.approx(once, rel=1e-12)
 
 
-def test_the_first_row_may_end_a_trajectory(states):
-    """A clock that runs backwards, and the only start there is."""
-    pairs, model = states
-    x = pairs.X[:5]
-    forwards = forecast_score(4)(model, x, None, range(5))
-    assert forecast_score(4)(model, x[::-1], None, range(4, -1, -1)) == forwards
-
-
 def test_an_error_of_the_tolerance_is_tolerated():
     """A state at rest, off by one from what it is said to be."""
     model = KernelEDMD("wendland_c0", n_modes=0).fit([[0.0], [0.0]])
@@ -372,7 +394,7 @@ def test_outputs_that_do_not_tell_what_follows(states, kind):
     pairs, _ = states
     X = pairs.X[:39]
     y = np.where(np.arange(39) % 4 == 0, pairs.X_next[:39, 0], -7.0)
-    model = KernelEDMD(trend="linear", n_modes=0).fit(X, y, X_next=pairs.X_next[:39])
+    model = KernelEDMD(trend="linear", n_modes=0).fit(X, y)
     wanted = forecast_score(4)(model, X, y, sample_index=range(39))
     states = X.astype(object) if kind == "states as objects" else X
     assert forecast_score(4)(model, states, y) == wanted
