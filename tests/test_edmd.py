@@ -362,23 +362,33 @@ class Interpolator(RegressorMixin, BaseEstimator):
 
 @pytest.mark.filterwarnings("ignore:Ill-conditioned matrix")  # KernelRidge
 def test_next_state_of_fresh_pendulums_beside_peers():
-    """All tuned over the same trajectory folds; the last is ours."""
-    data = {"initial": "random", "n_trajectories": 8}
-    train = make_pendulum(40, random_state=0, **data)
-    fresh = make_pendulum(40, random_state=1, **data)
+    """Between those learned from; all tuned over the same folds, ours last."""
+
+    def released_at(angles):
+        start = np.column_stack([np.zeros(len(angles)), angles])
+        return make_pendulum(40, initial=start, step=0.2)
+
+    train = released_at(np.linspace(0.4, 2.4, 5))
+    fresh = released_at(np.linspace(0.6, 2.2, 9))
     errors = []
     for estimator, grid in (
-        (OnIncrements(), {"gamma": [0.1, 0.3, 1.0], "alpha": [1e-12, 1e-9, 1e-6]}),
+        (
+            OnIncrements(),
+            {"gamma": [0.03, 0.1, 0.3, 1.0], "alpha": [1e-14, 1e-12, 1e-9, 1e-6]},
+        ),
         (
             Interpolator(),
             [
                 {"kernel": ["thin_plate_spline", "cubic"]},
-                {"kernel": ["gaussian", "inverse_multiquadric"], "epsilon": [0.3, 0.6]},
+                {
+                    "kernel": ["gaussian", "inverse_multiquadric", "multiquadric"],
+                    "epsilon": [0.2, 0.3, 0.4, 0.6, 0.8],
+                },
             ],
         ),
         (
             KernelEDMD("gaussian", trend="linear", n_modes=0),
-            {"beta": [1.0, 1.5, 2.0], "alpha": [0.0, 1e-12]},
+            {"beta": [1.0, 1.5, 2.0, 3.0], "alpha": [0.0, 1e-14, 1e-12]},
         ),
     ):
         search = GridSearchCV(
