@@ -267,8 +267,10 @@ default=None
             Integers that tell the rows' successors, if these are among the rows: row
             j succeeds row i if ``sample_index[j] == sample_index[i] + 1``. With
             neither `X_next` nor `sample_index`, the rows are one trajectory in the
-            order of time. With both (when a scorer needs the second one), `X_next` is
-            used, and has to agree.
+            order of time (so that cross-validation which leaves out a block of one
+            trajectory needs either: the rows before and after it do not follow each
+            other). With both, when a scorer needs the second one, `X_next` is used,
+            and has to agree.
 
         Returns
         -------

@@ -219,9 +219,8 @@ class ForecastScorer:
             )
         outputs = check_array(X if y is None else y, dtype=np.float64, ensure_2d=False)
         outputs = outputs.reshape(n, -1)
-        take = (
-            X.iloc if hasattr(X, "iloc") else np.asarray(X)
-        )  # names stay with a frame
+        # A frame stays one, for the names of its columns.
+        take = X.iloc if hasattr(X, "iloc") else np.asarray(X)
         size = max(BLOCK // (self.n_steps * outputs.shape[1]), 1)
         errors = []
         for batch in gen_batches(len(starts), size):
