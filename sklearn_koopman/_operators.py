@@ -25,11 +25,11 @@ from scipy.linalg.lapack import (
     dgeev_lwork,
     dgetrf,
     dgetrs,
-    dtrtri,
 )
 from scipy.optimize import linear_sum_assignment
 from sklearn.utils import gen_batches
 
+from sklearn_koopman._bounds import left_out_precision
 from sklearn_koopman._solvers import (
     KernelSections,
     NativeBasis,
@@ -215,16 +215,10 @@ def expansion(
 def left_out_errors(basis: NativeBasis, dual: Array) -> Array:
     """Errors at each centre of the interpolants made without it, in closed form.
 
-    The interpolant with coefficients c misses the value at centre i by c_i / H_ii if
-    that centre is left out, where H is the matrix that takes values at the centres to
-    coefficients: the inverse of K, or of K bordered by the polynomials (Rippa 1999).
     Centres without which no interpolant is determined are passed over.
     """
-    inverse, _ = dtrtri(np.tril(basis.lower), lower=1)
-    diagonal = np.einsum("ij,ij->j", inverse, inverse)
-    along = dgemm(1.0, basis.Q, inverse, trans_a=1)
-    left = diagonal - np.einsum("ij,ij->j", along, along)
-    determined = left > 1e-10 * diagonal
+    left = left_out_precision(basis)
+    determined = np.isfinite(left)
     return np.asarray(dual[determined] / left[determined, np.newaxis])
 
 

@@ -12,7 +12,7 @@ from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_X_y
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman import _solvers
+from sklearn_koopman import _bounds, _solvers
 from sklearn_koopman._validation import check_number
 from sklearn_koopman.centers import (
     check_distances,
@@ -317,6 +317,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             )
         # Attributes are set last: a fit that fails leaves the estimator as it was.
         validate_data(self, given, y, skip_check_array=True)
+        self._interpolates = interpolates
         self._store(X, y, kernel, rows, nugget, solution)
         return self
 
@@ -389,10 +390,82 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         return _solvers.power(self._native_basis(), self._validated(X), self.n_jobs)
 
+    def error_bound(self, X: Any, norm: Any = None) -> Array:
+        """Bound the error of the prediction at each state.
+
+        .. math:: |(U_f G)(x) - \\text{estimate}(x)| \\le P(x)\\, \\|U_f G\\|_H
+
+        with the power function P ([2]_ of the class, Theorem 11.4), for outputs
+        without noise of functions in the native space H of the kernel. With a `trend`
+        any polynomial may be taken off the function before its norm.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            The states, or their distances to the centres with
+            ``centers="precomputed"``.
+        norm : float or array-like of shape (n_outputs,), default=None
+            The native norm of U_f G. With a number that is known the bound is rigorous
+            (up to rounding). None estimates it from the data: from the norm of the
+            interpolant, which never exceeds it, and from how much that grew with the
+            second half of the centres. The estimate is too small for functions that
+            are not in the native space (take a rougher kernel), that have detail
+            which falls between the centres, or with too few centres to see the norm
+            settle; the bound fails with it. For smooth outputs it is far too large,
+            since their error falls up to twice as fast as the power function.
+
+        Returns
+        -------
+        bound : ndarray of shape (n_samples,) or (n_samples, n_outputs)
+            The bound, in the unit of the outputs. It includes the rounding error of
+            the squared power function, some 1e-14 of the kernel.
+
+        Raises
+        ------
+        ValueError
+            If the estimate is one of least squares, which has no such bound; if
+            `norm` is no positive number for each output; if it is left out where the
+            centres are not known.
+
+        Warns
+        -----
+        UserWarning
+            If states are off the manifold: where the power function is larger than at
+            any centre that is left out of the others.
+        """
+        check_is_fitted(self)
+        if not self._interpolates:
+            raise ValueError(
+                "error_bound is that of interpolation; method='least_squares' at chosen "
+                "centres averages over rows that no function of the span meets, and has "
+                "none. Take predict(X, return_std=True), or method='interpolation'."
+            )
+        X = self._validated(X)
+        basis = self._native_basis()
+        bounds = self._check_norm(norm)
+        power = _solvers.power(basis, X, self.n_jobs)
+        if not hasattr(self, "_reach"):
+            self._reach = _bounds.reach(basis)
+        off = power > self._reach * (1 + 1e-6)
+        if off.any():
+            warnings.warn(
+                f"{off.sum()} of {len(X)} states are off the manifold of the centres: "
+                f"the power function is up to {power.max():.2g} there, but at most "
+                f"{self._reach:.2g} at a centre that is left out of the others. "
+                "Predictions are extrapolation there; learn from samples that cover "
+                "such states, or leave them out.",
+                UserWarning,
+                stacklevel=2,
+            )
+        rounding = _bounds.ROUNDING * basis.sections.diagonal(X)
+        bound = np.outer(np.hypot(power, np.sqrt(rounding)), bounds)
+        return bound.reshape((len(X), *self.dual_coef_.shape[1:]))
+
     def __getstate__(self) -> dict[str, Any]:
-        """Leave the factor out: it is large, and follows from the rest."""
+        """Leave out what is large, or long to compute, and follows from the rest."""
         state = dict(super().__getstate__())
-        state.pop("_basis", None)
+        for name in ("_basis", "_norm", "_reach"):
+            state.pop(name, None)
         return state
 
     @property
@@ -432,7 +505,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         def shaped(values: Array) -> Any:
             return values.reshape((*values.shape[:-1], *y.shape[1:]))[()]
 
-        for stale in ("centers_", "trend_coef_"):
+        for stale in ("centers_", "trend_coef_", "_norm", "_reach"):
             if hasattr(self, stale):
                 delattr(self, stale)
         self.kernel_ = kernel
@@ -474,6 +547,40 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if isinstance(self._sections, _solvers.DistanceSections):
             check_distances(X)
         return X
+
+    def _check_norm(self, norm: Any) -> Array:
+        """Return the native norm of each output: as given, or estimated."""
+        n_outputs = int(np.prod(self.dual_coef_.shape[1:]))
+        if norm is not None:
+            norms = np.asarray(norm, dtype=np.float64)
+            if norms.ndim > 1 or norms.size not in (1, n_outputs):
+                raise ValueError(
+                    f"norm must be a number, or one for each of {n_outputs} outputs, "
+                    f"got an array of shape {norms.shape}."
+                )
+            for value in norms.ravel():
+                check_number(float(value), "norm")
+            return np.broadcast_to(norms.ravel(), n_outputs)
+        if not hasattr(self, "_norm"):
+            if not hasattr(self, "centers_"):
+                raise ValueError(
+                    "With centers='precomputed' the centres are not known, and the "
+                    "native norm is not estimated; give norm, or fit on the states "
+                    "with centers=SeparatedCenterSelector()."
+                )
+            basis = self._native_basis()
+            dual = self.dual_coef_.reshape(-1, n_outputs)
+            values = self._evaluate(self.centers_) + basis.excess[:, np.newaxis] * dual
+            degrees = max(len(dual) - basis.Q.shape[1], 1)
+            self._norm = _bounds.native_norm(
+                self._sections,
+                self.centers_,
+                self._nugget,
+                self._tail,
+                values,
+                np.ravel(self.amplitude_) * np.sqrt(degrees),
+            )
+        return self._norm
 
     def _native_basis(self) -> _solvers.NativeBasis:
         if not hasattr(self, "_basis"):

@@ -1,0 +1,65 @@
+"""What bounds the error of an interpolant: pure functions of a native basis."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.blas import dgemm
+from scipy.linalg.lapack import dtrtri
+
+from sklearn_koopman._solvers import NativeBasis, Sections, Tail, interpolation
+from sklearn_koopman.centers import farthest_centers
+
+Array = NDArray[np.float64]
+
+# What rounding leaves undecided of the squared power function, over that of the kernel.
+ROUNDING = 1e-13
+
+
+def left_out_precision(basis: NativeBasis) -> Array:
+    """Diagonal of the matrix that takes values at the centres to coefficients.
+
+    That is the inverse of K, or of K bordered by the polynomials. The interpolant
+    that is made without centre i misses the value there by the i-th coefficient over
+    the i-th entry, and the squared power function of the other centres is there one
+    over the i-th entry (Rippa 1999). NaN where they determine no interpolant.
+    """
+    inverse, _ = dtrtri(np.tril(basis.lower), lower=1)
+    diagonal = np.einsum("ij,ij->j", inverse, inverse)
+    along = dgemm(1.0, basis.Q, inverse, trans_a=1)
+    left = diagonal - np.einsum("ij,ij->j", along, along)
+    return np.where(left > 1e-10 * diagonal, left, np.nan)
+
+
+def reach(basis: NativeBasis) -> float:
+    """Return the power function at the centre that the others determine the least.
+
+    On the manifold, states are nearer to the centres than these are to each other:
+    where the power function is larger, a state is off it.
+    """
+    variance = 1 / left_out_precision(basis) - basis.excess
+    return float(np.sqrt(np.nanmax(variance, initial=0.0))) or np.inf
+
+
+def native_norm(
+    sections: Sections,
+    centers: Array,
+    nugget: Array,
+    tail: Tail | None,
+    values: Array,
+    seminorm: Array,
+) -> Array:
+    """Estimate the native norm of functions from that of their interpolants.
+
+    The norm of the interpolant rises to that of the function as centres are added. In
+    the order farthest first, the second half of the centres halves the volume between
+    them. The part of the squared norm that it adds counts twice here: exact if every
+    further halving added half as much, and too little for rougher functions.
+    """
+    half = farthest_centers(centers, 0.0, -(-len(centers) // 2))
+    if tail is not None:
+        degree = 0 if len(tail.seen) == 1 else 1
+        tail = Tail.on(centers[half], degree, centers)
+    basis = NativeBasis.of(sections.take(half), centers[half], nugget[half], tail)
+    coarse = interpolation(centers, values)(basis, half).seminorm
+    return np.asarray(np.sqrt(2 * seminorm**2 - np.minimum(coarse, seminorm) ** 2))

@@ -1,0 +1,35 @@
+"""How good an estimate can be, and is: geometry, conditioning, rates, calibration."""
+
+from sklearn_koopman.diagnostics._conditioning import (
+    condition_number,
+    digits_lost,
+    smallest_eigenvalue,
+)
+from sklearn_koopman.diagnostics._geometry import (
+    fill_distance,
+    intrinsic_dimension,
+    mesh_ratio,
+    separation_distance,
+)
+from sklearn_koopman.diagnostics._rates import sobolev_rates
+from sklearn_koopman.diagnostics._studies import (
+    calibration_study,
+    conditioning_study,
+    convergence_study,
+    crowding_study,
+)
+
+__all__ = [
+    "calibration_study",
+    "condition_number",
+    "conditioning_study",
+    "convergence_study",
+    "crowding_study",
+    "digits_lost",
+    "fill_distance",
+    "intrinsic_dimension",
+    "mesh_ratio",
+    "separation_distance",
+    "smallest_eigenvalue",
+    "sobolev_rates",
+]

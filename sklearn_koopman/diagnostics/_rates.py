@@ -1,0 +1,161 @@
+"""Rates of convergence that the theory guarantees."""
+
+from __future__ import annotations
+
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from sklearn.gaussian_process.kernels import (
+    RBF,
+    ConstantKernel,
+    Exponentiation,
+    Kernel,
+    Matern,
+    Product,
+    RationalQuadratic,
+    Sum,
+)
+from sklearn.utils import Bunch
+
+from sklearn_koopman._validation import check_integer, check_number
+from sklearn_koopman.kernels import RadialKernel, as_kernel
+
+
+def sobolev_rates(kernel: Any, n_features: int, dimension: float) -> Bunch:
+    """Tell how fast errors fall with the fill distance, by the theory.
+
+    A kernel in R^d whose Fourier transform decays like ``(1 + |w|^2) ** -tau`` has the
+    Sobolev space of order tau as its native space. Restricted to a manifold Q of
+    dimension m it has that of order ([1]_, theorem on restrictions)
+
+    .. math:: s = \\tau - (d - m) / 2 .
+
+    For s > m/2 interpolation at centres of fill distance h has, for functions of that
+    space, the errors ([2]_)
+
+    .. math:: \\sup_Q |g - g_M| = O(h^{s - m/2}), \\quad
+        \\|g - g_M\\|_{L^2(Q)} = O(h^s),
+
+    up to twice these orders for smoother functions. The smallest eigenvalue of the
+    Gram matrix falls with the separation q at most like q^(2s - m), and the condition
+    number of quasi-uniform centres rises like q^(-2s).
+
+    Parameters
+    ----------
+    kernel : str, Kernel or float
+        As for :class:`~sklearn_koopman.KoopmanKernelRegressor`; or the order tau
+        itself, for a kernel that none is known for here.
+    n_features : int
+        Dimension d of the space of states.
+    dimension : float
+        Dimension m of the manifold, such as :func:`intrinsic_dimension` estimates it.
+
+    Returns
+    -------
+    rates : :class:`~sklearn.utils.Bunch`
+        With the attributes
+
+        tau, s : float
+            The orders in R^d and on the manifold; infinite for kernels that are
+            smoother than any Sobolev order.
+        sup_exponent, rms_exponent : float
+            The exponents ``s - m / 2`` and ``s`` above; NaN if the theorem does not
+            apply.
+        condition_exponent : float
+            The exponent ``-2 s`` above.
+        applies : bool
+            Whether s > m/2.
+        statement : str
+            All this in words.
+
+    Raises
+    ------
+    ValueError
+        If the Sobolev order of the kernel is not known, or the dimensions are out of
+        range.
+
+    See Also
+    --------
+    convergence_study : Measures the rates on data.
+
+    Notes
+    -----
+    [1]_ prints the exponent s - m' with an integer m' > m/2. That here is the sharper
+    one of [2]_. The observed order may be lower if the outputs are not as smooth as
+    the theorem asks, if the centres are too few for the asymptotics, or at the
+    rounding floor.
+
+    References
+    ----------
+    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
+       of Animal Motions over Unknown Submanifolds".
+    .. [2] E. Fuselier and G. B. Wright, "Scattered data interpolation on embedded
+       submanifolds with restricted positive definite kernels: Sobolev error
+       estimates", SIAM Journal on Numerical Analysis 50, 2012.
+
+    Examples
+    --------
+    The orbit of a pendulum is a curve in the plane:
+
+    >>> from sklearn_koopman.diagnostics import sobolev_rates
+    >>> rates = sobolev_rates("wendland_c4", n_features=2, dimension=1)
+    >>> rates.tau, rates.s, rates.sup_exponent
+    (3.5, 3.0, 2.5)
+    """
+    check_integer(n_features, "n_features", 1)
+    check_number(dimension, "dimension", positive=True)
+    if dimension > n_features:
+        raise ValueError(
+            f"dimension={dimension} is more than n_features={n_features}: a manifold "
+            "has at most the dimension of the space around it."
+        )
+    if isinstance(kernel, Real) and not isinstance(kernel, bool):
+        check_number(kernel, "kernel", positive=True)
+        tau = float(kernel)
+    else:
+        tau = _order(as_kernel(kernel, None, n_features), n_features)
+    m = float(dimension)
+    s = tau - (n_features - m) / 2
+    applies = bool(s > m / 2)
+    if not applies:
+        statement = (
+            f"no rate is guaranteed: the order on the manifold is s = {s:g}, not above "
+            f"m/2 = {m / 2:g}; take a smoother kernel"
+        )
+    elif np.isinf(s):
+        statement = "errors fall faster than any power of the fill distance h"
+    else:
+        statement = (
+            f"sup error O(h^{s - m / 2:g}), rms error O(h^{s:g}) for functions of order "
+            f"s = {s:g} on the manifold, up to twice that for smoother ones"
+        )
+    return Bunch(
+        tau=tau,
+        s=s,
+        sup_exponent=s - m / 2 if applies else np.nan,
+        rms_exponent=s if applies else np.nan,
+        condition_exponent=-2 * s,
+        applies=applies,
+        statement=statement,
+    )
+
+
+def _order(kernel: Kernel, n_features: int) -> float:
+    """Return the Sobolev order of the native space of a kernel in R^d."""
+    if isinstance(kernel, RadialKernel):
+        return kernel.sobolev_order(n_features)
+    if isinstance(kernel, Matern):
+        return float(kernel.nu) + n_features / 2
+    if isinstance(kernel, RBF | RationalQuadratic | ConstantKernel):
+        return np.inf
+    # The native space of a sum is the sum of the spaces. The transform of a product is
+    # a convolution, and decays as the slower one does.
+    if isinstance(kernel, Sum | Product):
+        return min(_order(kernel.k1, n_features), _order(kernel.k2, n_features))
+    if isinstance(kernel, Exponentiation):
+        return _order(kernel.kernel, n_features)
+    raise ValueError(
+        f"The Sobolev order of kernel={kernel!r} is not known; if you know it, give the "
+        "order tau itself, a number, as the kernel."
+    )

@@ -1,0 +1,631 @@
+"""Tables of errors, conditioning and calibration, measured on the user's data."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import LinAlgWarning
+from scipy.special import ndtri
+from scipy.stats import linregress, t
+from sklearn.base import clone
+from sklearn.model_selection import check_cv
+from sklearn.pipeline import Pipeline
+from sklearn.utils import Bunch, check_array, check_X_y, indexable
+
+from sklearn_koopman._validation import check_number
+from sklearn_koopman.centers import SeparatedCenterSelector, sequential_centers
+from sklearn_koopman.diagnostics._conditioning import (
+    condition_number,
+    digits_lost,
+    extreme_eigenvalues,
+)
+from sklearn_koopman.diagnostics._geometry import (
+    fill_distance,
+    intrinsic_dimension,
+    separation_distance,
+)
+from sklearn_koopman.diagnostics._rates import sobolev_rates
+from sklearn_koopman.kernels import as_kernel
+from sklearn_koopman.trajectories import TrajectoryKFold
+
+Array = NDArray[np.float64]
+
+# Errors below this, relative to the outputs, are rounding rather than approximation.
+ROUNDING = 1e-12
+
+
+def convergence_study(
+    estimator: Any,
+    X: ArrayLike,
+    y: ArrayLike,
+    separations: ArrayLike,
+    X_test: ArrayLike,
+    y_test: ArrayLike,
+    *,
+    dimension: float | None = None,
+    confidence: float = 0.95,
+) -> Bunch:
+    """Measure how fast the error falls with the fill distance of the centres.
+
+    The estimator is fitted once for each separation, and its errors on the test data
+    are compared with the rate that the theory guarantees.
+
+    Parameters
+    ----------
+    estimator : estimator
+        A :class:`~sklearn_koopman.KoopmanKernelRegressor`, or a pipeline that ends in
+        one. Its `centers` are a selector with a parameter `separation`, or None, which
+        means :class:`~sklearn_koopman.SeparatedCenterSelector`. It is not changed.
+    X : array-like of shape (n_samples, n_features)
+        The states to choose the centres from.
+    y : array-like of shape (n_samples,) or (n_samples, n_outputs)
+        Their outputs one step later.
+    separations : array-like of shape (n_separations,)
+        The separations.
+    X_test : array-like of shape (n_test, n_features)
+        States on the same manifold that are no centres.
+    y_test : array-like of shape (n_test,) or (n_test, n_outputs)
+        Their outputs.
+    dimension : float, default=None
+        Dimension of the manifold, for the guaranteed rate. None rounds that which
+        :func:`intrinsic_dimension` gives for `X` to a whole number.
+    confidence : float, default=0.95
+        Level of the intervals of the slopes.
+
+    Returns
+    -------
+    study : :class:`~sklearn.utils.Bunch`
+        With the attributes
+
+        separation, n_centers, fill_distance, separation_distance, sup_error, \
+rms_error, condition_number : ndarray of shape (n_separations,)
+            The table, in the order of `separations`. Distances are Euclidean, in the
+            units that the kernel sees (behind the steps of a pipeline); the fill
+            distance is that with respect to all states given. Errors of several
+            outputs are lengths of vectors.
+        used : ndarray of shape (n_separations,), bool
+            Which lines the slopes are fitted to: those with other centres than the
+            line before, no centre dropped for numerical dependence, and an error
+            above the rounding of the outputs (1e-12 of their size).
+        slope, rms_slope : float
+            Slopes of the logarithms of the errors over that of the fill distance, by
+            least squares; NaN from fewer than two lines.
+        slope_interval, rms_slope_interval : ndarray of shape (2,)
+            Their intervals of confidence, for scatter about a straight line.
+        guaranteed_slope : float
+            The exponent of the sup error that :func:`sobolev_rates` guarantees; NaN
+            where it does not apply, which is also the case for least squares or
+            ``alpha > 0``.
+        rates : :class:`~sklearn.utils.Bunch`
+            All that :func:`sobolev_rates` says.
+        dimension, confidence : float
+            As used.
+        kernel : str
+            The kernel.
+
+    Raises
+    ------
+    ValueError
+        If the estimator has no `centers` that separations apply to, or other
+        parameters are out of range.
+
+    See Also
+    --------
+    conditioning_study : The price of small separations.
+    sklearn_koopman.plotting.ConvergenceDisplay : Draws the study.
+
+    Notes
+    -----
+    Take separations from a dozen centres on to as fine as the samples allow: the
+    asymptotic slope shows neither with centres farther apart than `beta`, nor with
+    nearly all samples as centres.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_koopman import KoopmanKernelRegressor
+    >>> from sklearn_koopman.datasets import make_pendulum
+    >>> from sklearn_koopman.diagnostics import convergence_study
+    >>> train = make_pendulum(2000)
+    >>> test = make_pendulum(1000, initial=train.X_next[-1])  # the same orbit, later
+    >>> study = convergence_study(
+    ...     KoopmanKernelRegressor("matern32", beta=2.0),
+    ...     *(train.X, train.y, np.geomspace(0.5, 0.02, 7), test.X, test.y),
+    ... )
+    >>> study.guaranteed_slope
+    1.5
+    >>> bool(3.5 < study.slope < 4.3)  # the output is smoother than it has to be
+    True
+    """
+    X, y = check_X_y(X, y, multi_output=True, y_numeric=True, dtype=np.float64)
+    X_test, y_test = check_X_y(
+        X_test, y_test, multi_output=True, y_numeric=True, dtype=np.float64
+    )
+    separations = _levels(separations, "separations")
+    check_number(confidence, "confidence", positive=True)
+    if confidence >= 1:
+        raise ValueError(f"confidence must be below 1, got {confidence}.")
+    parameter = _separation_parameter(estimator)
+    lines: list[dict[str, Any]] = []
+    previous: Any = None
+    for separation in separations:
+        model = clone(estimator).set_params(**parameter(separation))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            model.fit(X, y)
+        dropped = any(issubclass(w.category, LinAlgWarning) for w in caught)
+        before, final = _split(model)
+        if not hasattr(final, "centers_"):
+            raise ValueError(
+                "estimator must fit a KoopmanKernelRegressor to states; with "
+                "centers='precomputed' the centres are not known to it."
+            )
+        states = np.vstack([before(X), before(X_test)])
+        error = _lengths(final.predict(before(X_test)) - y_test)
+        centers = final.centers_
+        again = previous is not None and np.array_equal(previous, centers)
+        previous = centers
+        floor = ROUNDING * np.abs(y_test).max()
+        sup = float(error.max())
+        lines.append(
+            {
+                "separation": separation,
+                "n_centers": len(centers),
+                "fill_distance": fill_distance(centers, states),
+                "separation_distance": separation_distance(centers),
+                "sup_error": sup,
+                "rms_error": float(np.sqrt(np.mean(error**2))),
+                "condition_number": condition_number(final.kernel_, centers),
+                "used": not (dropped or again or sup <= floor),
+            }
+        )
+    table = {name: np.array([line[name] for line in lines]) for name in lines[0]}
+    used = table["used"]
+    states = before(X)
+    if dimension is None:
+        dimension = _whole_dimension(states)
+    rates = sobolev_rates(final.kernel_, states.shape[1], dimension)
+    exact = getattr(final, "method", None) == "interpolation" and final.alpha == 0
+    fits = {}
+    for name, errors in (("slope", "sup_error"), ("rms_slope", "rms_error")):
+        fits[name], fits[f"{name}_interval"] = _slope(
+            table["fill_distance"][used], table[errors][used], confidence
+        )
+    return Bunch(
+        **table,
+        **fits,
+        guaranteed_slope=rates.sup_exponent if exact else np.nan,
+        rates=rates,
+        dimension=dimension,
+        confidence=confidence,
+        kernel=repr(final.kernel_),
+    )
+
+
+def conditioning_study(
+    kernels: Sequence[Any],
+    betas: ArrayLike,
+    X: ArrayLike,
+    separations: ArrayLike,
+    *,
+    dimension: float | None = None,
+    confidence: float = 0.95,
+) -> Bunch:
+    """Measure what small separations cost in digits, for several kernels and scales.
+
+    Centres are chosen by Algorithm 1 of [1]_ (whose Figures 5 and 6 these are).
+
+    Parameters
+    ----------
+    kernels : sequence of str or Kernel
+        The kernels.
+    betas : array-like of shape (n_betas,)
+        Their scales.
+    X : array-like of shape (n_samples, n_features)
+        The states to choose the centres from.
+    separations : array-like of shape (n_separations,)
+        The separations.
+    dimension : float, default=None
+        Dimension of the manifold, for the expected slopes. None rounds that which
+        :func:`intrinsic_dimension` gives for `X` to a whole number.
+    confidence : float, default=0.95
+        Level of the intervals of the slopes.
+
+    Returns
+    -------
+    study : :class:`~sklearn.utils.Bunch`
+        With the attributes
+
+        kernel : list of str
+            The kernels' names, or what they are.
+        beta : ndarray of shape (n_betas,)
+            The scales.
+        separation, n_centers, fill_distance, separation_distance : ndarray of shape \
+(n_separations,)
+            The centres, in Euclidean distances.
+        condition_number, smallest_eigenvalue, digits_lost : ndarray of shape \
+(n_kernels, n_betas, n_separations)
+            Of the Gram matrices; see :func:`condition_number` for what is infinite.
+        slope : ndarray of shape (n_kernels, n_betas)
+            Slopes of the logarithm of the condition number over that of the
+            separation distance, from the finer half of the finite ones (three at
+            least), since the order shows only where balls of radius `beta` hold many
+            centres. NaN if there are fewer than three.
+        slope_interval : ndarray of shape (n_kernels, n_betas, 2)
+            Their intervals of confidence, for scatter about a straight line.
+        expected_slope : ndarray of shape (n_kernels,)
+            The order ``-2 s`` of quasi-uniform centres (:func:`sobolev_rates`).
+        dimension, confidence : float
+            As used.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is out of range, or a kernel takes no `beta`.
+
+    See Also
+    --------
+    crowding_study : Two centres close together, the others as they were.
+    sklearn_koopman.plotting.ConditioningDisplay : Draws the study.
+
+    References
+    ----------
+    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
+       of Animal Motions over Unknown Submanifolds", Section 4.1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_koopman.datasets import make_pendulum
+    >>> from sklearn_koopman.diagnostics import conditioning_study
+    >>> study = conditioning_study(
+    ...     *(["wendland_c2", "wendland_c4"], [4.0]),
+    ...     *(make_pendulum(4000).X, np.geomspace(0.3, 0.03, 6)),
+    ... )
+    >>> study.expected_slope
+    array([-4., -6.])
+    >>> bool((abs(study.slope[:, 0] - study.expected_slope) < 0.5).all())
+    True
+    """
+    X = check_array(X, dtype=np.float64, input_name="X")
+    betas, separations = _levels(betas, "betas"), _levels(separations, "separations")
+    kernels = [kernels] if isinstance(kernels, str) else list(kernels)
+    if not kernels:
+        raise ValueError("kernels is empty; give a name or a kernel at least.")
+    if dimension is None:
+        dimension = _whole_dimension(X)
+    chosen = [X[sequential_centers(X, separation)] for separation in separations]
+    q = np.array([separation_distance(centers) for centers in chosen])
+    shape = (len(kernels), len(betas), len(separations))
+    smallest, largest = np.empty(shape), np.empty(shape)
+    for i, kernel in enumerate(kernels):
+        for j, beta in enumerate(betas):
+            for k, centers in enumerate(chosen):
+                smallest[i, j, k], largest[i, j, k] = extreme_eigenvalues(
+                    kernel, centers, beta
+                )
+    condition = _ratio(largest, smallest)
+    slope, interval = np.empty(shape[:2]), np.empty((*shape[:2], 2))
+    for i in range(len(kernels)):
+        for j in range(len(betas)):
+            finite = np.flatnonzero(np.isfinite(condition[i, j]) & np.isfinite(q))
+            finite = finite[np.argsort(q[finite])]
+            finest = finite[: max(-(-len(finite) // 2), 3)]
+            slope[i, j], interval[i, j] = _slope(
+                q[finest], condition[i, j, finest], confidence, fewest=3
+            )
+    expected = [
+        sobolev_rates(kernel, X.shape[1], dimension).condition_exponent
+        for kernel in kernels
+    ]
+    return Bunch(
+        kernel=[k if isinstance(k, str) else repr(k) for k in kernels],
+        beta=betas,
+        separation=separations,
+        n_centers=np.array([len(centers) for centers in chosen]),
+        fill_distance=np.array([fill_distance(centers, X) for centers in chosen]),
+        separation_distance=q,
+        condition_number=condition,
+        smallest_eigenvalue=smallest,
+        digits_lost=digits_lost(condition),
+        slope=slope,
+        slope_interval=interval,
+        expected_slope=np.array(expected),
+        dimension=dimension,
+        confidence=confidence,
+    )
+
+
+def crowding_study(
+    kernel: Any,
+    X: ArrayLike,
+    separations: ArrayLike,
+    gaps: ArrayLike,
+    *,
+    beta: float | None = None,
+) -> Bunch:
+    """Measure what one pair of crowded centres costs, at a fixed fill distance.
+
+    To the centres chosen for a separation by Algorithm 1 of [1]_ one more is added, at
+    a small gap from the first centre towards the sample nearest to it. The fill
+    distance hardly changes; the smallest eigenvalue falls with the gap (Figure 7
+    of [1]_).
+
+    Parameters
+    ----------
+    kernel : str or Kernel
+        The kernel.
+    X : array-like of shape (n_samples, n_features)
+        The states to choose the centres from.
+    separations : array-like of shape (n_separations,)
+        The separations, each of which gives a fill distance.
+    gaps : array-like of shape (n_gaps,)
+        Distances of the additional centre from the first one.
+    beta : float, default=None
+        Scale of the kernel.
+
+    Returns
+    -------
+    study : :class:`~sklearn.utils.Bunch`
+        With the attributes
+
+        kernel : str
+            The kernel's name, or what it is.
+        separation, n_centers, fill_distance : ndarray of shape (n_separations,)
+            Of the centres before one is added.
+        gap : ndarray of shape (n_gaps,)
+            The gaps.
+        separation_distance, smallest_eigenvalue, condition_number : ndarray of shape \
+(n_separations, n_gaps)
+            With the additional centre.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is out of range.
+
+    See Also
+    --------
+    conditioning_study : All centres closer together.
+
+    Notes
+    -----
+    The power 2 tau - d of the lower bound (:func:`smallest_eigenvalue`) is that of
+    many centres close together. A single pair at a distance r leaves the eigenvalue
+    1 - phi(r), about, which falls like r for kernels that have a cusp, and like r^2 for
+    all that are smoother, until the other centres take part.
+
+    References
+    ----------
+    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
+       of Animal Motions over Unknown Submanifolds", Section 4.1.
+
+    Examples
+    --------
+    >>> from sklearn_koopman.datasets import make_pendulum
+    >>> from sklearn_koopman.diagnostics import crowding_study
+    >>> study = crowding_study(
+    ...     "matern12", make_pendulum().X, [0.5, 0.23], [0.02, 0.01], beta=1.0
+    ... )
+    >>> study.n_centers
+    array([19, 37])
+    >>> (study.smallest_eigenvalue[:, 0] / study.smallest_eigenvalue[:, 1]).round(1)
+    array([2., 2.])
+    """
+    X = check_array(X, dtype=np.float64, input_name="X", ensure_min_samples=2)
+    separations, gaps = _levels(separations, "separations"), _levels(gaps, "gaps")
+    distances = _lengths(X - X[0])
+    if not distances.any():
+        raise ValueError("X holds a single state, so that there is no direction.")
+    nearest = np.where(distances > 0, distances, np.inf).argmin()
+    direction = (X[nearest] - X[0]) / distances[nearest]
+    shape = (len(separations), len(gaps))
+    q, smallest, largest = np.empty(shape), np.empty(shape), np.empty(shape)
+    n_centers, fill = [], []
+    for i, separation in enumerate(separations):
+        centers = X[sequential_centers(X, separation)]
+        n_centers.append(len(centers))
+        fill.append(fill_distance(centers, X))
+        for j, gap in enumerate(gaps):
+            crowded = np.vstack([centers, X[0] + gap * direction])
+            q[i, j] = separation_distance(crowded)
+            smallest[i, j], largest[i, j] = extreme_eigenvalues(kernel, crowded, beta)
+    return Bunch(
+        kernel=repr(as_kernel(kernel, beta, X.shape[1])),
+        separation=separations,
+        n_centers=np.array(n_centers),
+        fill_distance=np.array(fill),
+        gap=gaps,
+        separation_distance=q,
+        smallest_eigenvalue=smallest,
+        condition_number=_ratio(largest, smallest),
+    )
+
+
+def calibration_study(
+    estimator: Any,
+    X: ArrayLike,
+    y: ArrayLike,
+    *,
+    groups: ArrayLike | None = None,
+    cv: Any = None,
+    levels: ArrayLike = (0.5, 0.68, 0.9, 0.95, 0.99),
+) -> Bunch:
+    """Measure whether the stated standard deviations hold on held-out trajectories.
+
+    Parameters
+    ----------
+    estimator : estimator
+        A :class:`~sklearn_koopman.KoopmanKernelRegressor`, or any other whose
+        `predict` has `return_std`, or a pipeline that ends in one. It is not changed.
+    X : array-like of shape (n_samples, n_features)
+        The states.
+    y : array-like of shape (n_samples,) or (n_samples, n_outputs)
+        Their outputs one step later.
+    groups : array-like of shape (n_samples,), default=None
+        The trajectory of each row, so that whole ones are left out.
+    cv : int, cross-validation generator or iterable, default=None
+        How rows are left out. None means
+        :class:`~sklearn_koopman.TrajectoryKFold` with up to five folds.
+    levels : array-like of shape (n_levels,)
+        Probabilities of the central intervals of a normal distribution.
+
+    Returns
+    -------
+    study : :class:`~sklearn.utils.Bunch`
+        With the attributes
+
+        level : ndarray of shape (n_levels,)
+            The probabilities.
+        coverage : ndarray of shape (n_levels,)
+            How many of the held-out outputs, as a fraction, lie in the intervals.
+        fold_coverage : ndarray of shape (n_folds, n_levels)
+            The same for each fold.
+        ratio : float
+            Root mean square of errors over their stated standard deviations: 1 if
+            these are right, and what to multiply them by if not.
+        fold_ratio : ndarray of shape (n_folds,)
+            The same for each fold.
+
+    Raises
+    ------
+    ValueError
+        If the estimator states no standard deviations, or levels are not between 0
+        and 1.
+
+    Notes
+    -----
+    Rows along a trajectory are alike: a fold that stands for another subject or speed
+    tells more than thousands of rows, and the spread of `fold_ratio` how little is
+    known from few folds.
+
+    Examples
+    --------
+    Pendulums swing more smoothly than the kernel makes believe; the deviations are too
+    wide:
+
+    >>> from sklearn_koopman import KoopmanKernelRegressor, SeparatedCenterSelector
+    >>> from sklearn_koopman.datasets import make_pendulum
+    >>> from sklearn_koopman.diagnostics import calibration_study
+    >>> pendulums = make_pendulum(
+    ...     100, initial="random", n_trajectories=20, noise=0.01, random_state=0
+    ... )
+    >>> model = KoopmanKernelRegressor(
+    ...     beta=5.0,
+    ...     centers=SeparatedCenterSelector(0.4),
+    ...     method="least_squares",
+    ...     alpha=1e-4,
+    ... )
+    >>> study = calibration_study(
+    ...     model, pendulums.X, pendulums.y, groups=pendulums.groups
+    ... )
+    >>> round(study.ratio, 1)
+    0.7
+    """
+    X, y, groups = indexable(X, y, groups)
+    levels = _levels(levels, "levels")
+    if levels.max() >= 1:
+        raise ValueError(f"levels must lie between 0 and 1, got {levels.max():g}.")
+    if cv is None:
+        n_folds = 5 if groups is None else min(5, len(np.unique(groups)))
+        cv = TrajectoryKFold(n_folds)
+    limits = ndtri((1 + levels) / 2)
+    X, y = np.asarray(X), np.asarray(y, dtype=np.float64)
+    scaled = []
+    for train, test in check_cv(cv).split(X, y, groups):
+        before, final = _split(clone(estimator).fit(X[train], y[train]))
+        try:
+            mean, std = final.predict(before(X[test]), return_std=True)
+        except TypeError as error:
+            raise ValueError(
+                f"{type(final).__name__}.predict has no return_std; calibration is "
+                "that of stated standard deviations."
+            ) from error
+        missed = np.abs(y[test] - mean)
+        # An error of zero is within any standard deviation, zero included.
+        with np.errstate(divide="ignore"):
+            scaled.append(np.divide(missed, std, out=0 * missed, where=missed > 0))
+    inside = [
+        (z.reshape(-1, 1) <= limits).mean(axis=0) if z.size else np.nan for z in scaled
+    ]
+    together = np.concatenate([z.ravel() for z in scaled])
+    return Bunch(
+        level=levels,
+        coverage=(together[:, np.newaxis] <= limits).mean(axis=0),
+        fold_coverage=np.array(inside),
+        ratio=float(np.sqrt(np.mean(together**2))),
+        fold_ratio=np.array([np.sqrt(np.mean(z**2)) for z in scaled]),
+    )
+
+
+def _levels(values: Any, name: str) -> Array:
+    """Check a list of positive numbers."""
+    levels = check_array(
+        np.atleast_1d(values), ensure_2d=False, dtype=np.float64, input_name=name
+    )
+    if levels.ndim != 1 or not (levels > 0).all():
+        raise ValueError(f"{name} must be a list of positive numbers, got {values!r}.")
+    return np.asarray(levels, dtype=np.float64)
+
+
+def _ratio(largest: Array, smallest: Array) -> Array:
+    infinite = np.full(smallest.shape, np.inf)
+    return np.divide(largest, smallest, out=infinite, where=smallest > 0)
+
+
+def _whole_dimension(X: Array) -> int:
+    try:
+        estimate, _ = intrinsic_dimension(X)
+    except ValueError as error:
+        raise ValueError(f"{error} Give the dimension.") from error
+    return int(np.clip(np.rint(estimate), 1, X.shape[1]))
+
+
+def _slope(
+    x: Array, y: Array, confidence: float, fewest: int = 2
+) -> tuple[float, Array]:
+    """Fit a straight line to logarithms; return its slope and the interval of it."""
+    nothing = np.full(2, np.nan)
+    if len(x) < fewest or np.ptp(x) == 0:
+        return np.nan, nothing
+    line = linregress(np.log(x), np.log(y))
+    if len(x) == 2:
+        return float(line.slope), nothing
+    width = t.ppf((1 + confidence) / 2, len(x) - 2) * line.stderr
+    return float(line.slope), line.slope + width * np.array([-1.0, 1.0])
+
+
+def _separation_parameter(estimator: Any) -> Any:
+    """Return the function from a separation to the parameters that set it."""
+    parameters = estimator.get_params()
+    names = [name for name in parameters if name.split("__")[-1] == "separation"]
+    if len(names) == 1:
+        return lambda separation: {names[0]: separation}
+    names = [
+        name
+        for name, value in parameters.items()
+        if name.split("__")[-1] == "centers" and value is None
+    ]
+    if len(names) == 1:
+        return lambda separation: {names[0]: SeparatedCenterSelector(separation)}
+    raise ValueError(
+        "estimator must have one parameter `centers` that is None or a selector with "
+        f"a parameter `separation`, got {estimator!r}."
+    )
+
+
+def _split(model: Any) -> tuple[Any, Any]:
+    """Return the transform in front of the final step of a fitted model, and that."""
+    if isinstance(model, Pipeline):
+        front = model[:-1]
+        return (front.transform if len(front) else np.asarray), model[-1]
+    return np.asarray, model
+
+
+def _lengths(vectors: Array) -> Array:
+    """Return the lengths of rows; their absolute values if they are numbers."""
+    return np.sqrt(np.square(vectors.reshape(len(vectors), -1)).sum(axis=1))
