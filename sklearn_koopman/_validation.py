@@ -26,6 +26,20 @@ def check_integer(value: Any, name: str, minimum: int) -> None:
     raise ValueError(f"{name} must be an integer of at least {minimum}, got {value!r}.")
 
 
+def check_positive(values: Any, name: str) -> NDArray[np.float64]:
+    """Return a list of numbers; refuse any that is not finite and above zero."""
+    numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    if (
+        numbers.ndim == 1
+        and numbers.size
+        and (np.isfinite(numbers) & (numbers > 0)).all()
+    ):
+        return numbers
+    raise ValueError(
+        f"{name} must be a list of positive, finite numbers, got {values!r}."
+    )
+
+
 def check_flag(value: Any, name: str) -> None:
     """Refuse anything but True and False."""
     if not isinstance(value, bool | np.bool_):

@@ -436,9 +436,10 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         if not self._interpolates:
             raise ValueError(
-                "error_bound is that of interpolation; method='least_squares' at chosen "
-                "centres averages over rows that no function of the span meets, and has "
-                "none. Take predict(X, return_std=True), or method='interpolation'."
+                "error_bound is that of interpolation; method='least_squares' at "
+                "chosen centres averages over rows that no function of the span meets, "
+                "and has none. Take predict(X, return_std=True), or "
+                "method='interpolation'."
             )
         X = self._validated(X)
         basis = self._native_basis()

@@ -1,5 +1,6 @@
 """How good an estimate can be, and is: geometry, conditioning, rates, calibration."""
 
+from sklearn_koopman.diagnostics._calibration import calibration_study
 from sklearn_koopman.diagnostics._conditioning import (
     condition_number,
     digits_lost,
@@ -13,7 +14,6 @@ from sklearn_koopman.diagnostics._geometry import (
 )
 from sklearn_koopman.diagnostics._rates import sobolev_rates
 from sklearn_koopman.diagnostics._studies import (
-    calibration_study,
     conditioning_study,
     convergence_study,
     crowding_study,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.linalg import cholesky, eigvalsh
 from scipy.linalg.blas import dsymv
 from scipy.linalg.lapack import dpotrs
@@ -24,7 +24,7 @@ DENSE = 1500
 
 def condition_number(
     kernel: Any,
-    centers: ArrayLike,
+    centers: Any,
     *,
     beta: float | None = None,
     alpha: float = 0.0,
@@ -84,7 +84,7 @@ def condition_number(
 
 def smallest_eigenvalue(
     kernel: Any,
-    centers: ArrayLike,
+    centers: Any,
     *,
     beta: float | None = None,
     alpha: float = 0.0,
@@ -132,7 +132,7 @@ def smallest_eigenvalue(
     return extreme_eigenvalues(kernel, centers, beta, alpha)[0]
 
 
-def digits_lost(condition_number: ArrayLike) -> Any:
+def digits_lost(condition_number: Any) -> Any:
     """Tell how many of the 16 digits of the coefficients a Gram matrix costs.
 
     Coefficients computed from a matrix and values with relative errors e are off by up
@@ -176,7 +176,7 @@ def digits_lost(condition_number: ArrayLike) -> Any:
 
 
 def extreme_eigenvalues(
-    kernel: Any, centers: ArrayLike, beta: float | None = None, alpha: float = 0.0
+    kernel: Any, centers: Any, beta: float | None = None, alpha: float = 0.0
 ) -> tuple[float, float]:
     """Compute the smallest and the largest eigenvalue of a Gram matrix.
 

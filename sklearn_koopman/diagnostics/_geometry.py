@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 from scipy.special import digamma
 from sklearn.utils import check_array, check_random_state, gen_batches
 
 from sklearn_koopman._validation import check_integer, check_magnitude
-from sklearn_koopman.centers import distinct_rows, sequential_centers
+from sklearn_koopman.centers import distinct_rows
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -23,8 +25,8 @@ BATCH = 2**16
 
 
 def fill_distance(
-    centers: ArrayLike,
-    reference: ArrayLike,
+    centers: Any,
+    reference: Any,
     *,
     metric: str = "euclidean",
     n_neighbors: int | None = None,
@@ -42,8 +44,8 @@ def fill_distance(
     centers : array-like of shape (n_centers, n_features)
         The centres.
     reference : array-like of shape (n_samples, n_features)
-        Samples that cover the manifold, many times as many as centres. For
-        ``metric="geodesic"`` in the order of time, if they are trajectories.
+        Samples that cover the manifold, many times as many as centres. Trajectories
+        in the order of time.
     metric : {"euclidean", "geodesic"}, default="euclidean"
         Distances through the space around the manifold, or along it. For "geodesic"
         they are lengths of shortest paths in a neighbourhood graph of the samples,
@@ -66,6 +68,12 @@ def fill_distance(
         If the arrays do not fit together, or if the neighbourhood graph has parts
         without a centre.
 
+    Warns
+    -----
+    UserWarning
+        If the paths of ``metric="geodesic"`` follow a trajectory, whose passages lie
+        closer together than the centres.
+
     See Also
     --------
     separation_distance : The other half of the story.
@@ -73,11 +81,13 @@ def fill_distance(
 
     Notes
     -----
-    Euclidean distances come from a kd-tree of the centres. Shortest paths are those of
-    Dijkstra's algorithm from all centres at once. Their graph holds the centres and
-    those reference points that are farther from each other than the motion typically
-    returns to where it was: on a finely sampled trajectory the nearest neighbours
-    would all be on the same passage, and paths would follow it around the manifold.
+    Euclidean distances come from a kd-tree of the centres, and shortest paths from
+    Dijkstra's algorithm, from all centres at once.
+
+    On a finely sampled trajectory the nearest neighbours are the samples just before
+    and after, and paths follow the trajectory: right, if it is the manifold, but not
+    where it winds around a surface. Only its user knows; where it matters a warning
+    tells at which separation to thin it.
 
     References
     ----------
@@ -97,17 +107,20 @@ def fill_distance(
     0.785
     """
     centers, reference = _checked_points(centers, reference)
-    if _is_geodesic(metric, n_neighbors):
-        return _Graph(centers, reference, n_neighbors).fill_distance()
+    geodesic = _is_geodesic(metric, n_neighbors)
     tree, farthest = KDTree(centers), 0.0
     for rows in gen_batches(len(reference), BATCH):
-        farthest = max(farthest, float(tree.query(reference[rows])[0].max()))
+        farthest = max(farthest, float(_nearest(tree, reference[rows], 1)[0].max()))
+    if geodesic:
+        graph = _Graph(centers, reference, n_neighbors)
+        graph.check_passages(reference, farthest)
+        return graph.fill_distance()
     return farthest
 
 
 def separation_distance(
-    centers: ArrayLike,
-    reference: ArrayLike | None = None,
+    centers: Any,
+    reference: Any = None,
     *,
     metric: str = "euclidean",
     n_neighbors: int | None = None,
@@ -160,13 +173,13 @@ def separation_distance(
     centers = _checked(centers, "centers")
     if len(centers) < 2:
         return np.inf
-    distances, _ = KDTree(centers).query(centers, k=2)
-    return float(distances[:, 1].min()) / 2
+    distances, _ = _nearest(KDTree(centers), centers, 2)
+    return float(distances.min()) / 2
 
 
 def mesh_ratio(
-    centers: ArrayLike,
-    reference: ArrayLike,
+    centers: Any,
+    reference: Any,
     *,
     metric: str = "euclidean",
     n_neighbors: int | None = None,
@@ -212,7 +225,7 @@ def mesh_ratio(
 
 
 def intrinsic_dimension(
-    X: ArrayLike,
+    X: Any,
     *,
     n_points: int | None = None,
     random_state: int | np.random.RandomState | None = 0,
@@ -319,7 +332,7 @@ def _ratio_dimension(X: Array, order: Indices, n_points: int) -> tuple[float, in
     logs = []
     for first in range(0, min(4 * n_points, len(X) - n_points + 1), n_points):
         points = X[order[first : first + n_points]]
-        near = KDTree(points).query(points, k=[_N + 1, 2 * _N + 1])[0]
+        near, _ = _nearest(KDTree(points), points, [_N + 1, 2 * _N + 1])
         logs.append(np.log(near[:, 1] / near[:, 0]))
     ratios = np.concatenate(logs)
     mean = float(ratios.mean())
@@ -336,7 +349,7 @@ def _return_distances(X: Array, n_rows: int = 100) -> Array:
     """
     returned = []
     for row in np.unique(np.linspace(0, len(X) - 1, n_rows).astype(int)):
-        distances = np.sqrt(np.square(X - X[row]).sum(axis=1))
+        distances = cdist(X, X[row : row + 1]).ravel()
         nearest = np.inf
         for side in (distances[row + 1 :], distances[:row][::-1]):
             back = side[np.maximum.accumulate(side) >= 2 * side]
@@ -353,62 +366,76 @@ def _return_in_steps(X: Array) -> float:
 
 
 class _Graph:
-    """Neighbourhood graph of centres and thinned reference points."""
+    """Shortest paths from the centres in a neighbourhood graph of all points."""
 
     def __init__(
         self, centers: Array, reference: Array, n_neighbors: int | None
     ) -> None:
-        self.reference = reference
-        apart = float(np.median(_return_distances(reference)))
-        if np.isfinite(apart):
-            reference = reference[sequential_centers(reference, apart)]
-        self.n_centers = len(distinct_rows(centers)[0])
         nodes = np.vstack([centers, reference])
-        nodes = nodes[distinct_rows(nodes)[0]]  # the centres remain the first ones
+        nodes = nodes[distinct_rows(nodes)[0]]
+        n_centers = len(distinct_rows(centers)[0])  # they remain the first ones
         if n_neighbors is None:
             n_neighbors = int(np.clip(len(nodes) // 20, 6, 20))
         self.n_neighbors = min(n_neighbors, len(nodes) - 1)
-        self.tree = KDTree(nodes)
-        if self.n_neighbors == 0:
-            self.distances, self.sources = np.zeros(1), np.zeros(1, dtype=int)
-            self.edges = (np.empty(0, int), np.empty(0, int), np.empty(0))
-            return
-        lengths, near = self.tree.query(nodes, k=np.arange(2, self.n_neighbors + 2))
-        begin = np.repeat(np.arange(len(nodes)), self.n_neighbors)
-        self.edges = (begin, near.ravel(), lengths.ravel())
-        self.distances, _, self.sources = dijkstra(
-            csr_matrix((lengths.ravel(), (begin, near.ravel())), shape=(len(nodes),) * 2),
+        # The nearest one of all is the point itself.
+        near = list(range(2, self.n_neighbors + 2))
+        length, end = _nearest(KDTree(nodes), nodes, near)
+        self.longest = length.max(axis=1, initial=0.0)
+        self.begin = np.repeat(np.arange(len(nodes)), self.n_neighbors)
+        self.end, self.length = end.ravel(), length.ravel()
+        edges = csr_matrix(
+            (self.length, (self.begin, self.end)), shape=(len(nodes),) * 2
+        )
+        self.distance, _, self.source = dijkstra(
+            edges,
             directed=False,
-            indices=np.arange(self.n_centers),
+            indices=np.arange(n_centers),
             min_only=True,
             return_predecessors=True,
         )
 
     def fill_distance(self) -> float:
-        lost = np.isinf(self.distances).sum()
+        lost = int(np.isinf(self.distance).sum())
         if lost:
             raise ValueError(
-                f"{lost} of {len(self.distances)} points of the graph have no path to a "
-                f"centre along {self.n_neighbors} neighbours each: they lie on a part "
-                "of the manifold without centres, or the samples are unevenly spread. "
-                "Add centres or reference points there, or raise n_neighbors."
+                f"{lost} of {len(self.distance)} points have no path to a centre along "
+                f"{self.n_neighbors} neighbours each: they lie on a part of the "
+                "manifold without centres, or the samples are unevenly spread. Add "
+                "centres or samples there, raise n_neighbors, or thin the reference "
+                "by SeparatedCenterSelector."
             )
-        farthest = 0.0
-        n_near = np.arange(1, self.n_neighbors + 1) if self.n_neighbors else [1]
-        for rows in gen_batches(len(self.reference), BATCH):
-            lengths, near = self.tree.query(self.reference[rows], k=n_near)
-            ways = (lengths + self.distances[near]).min(axis=1)
-            farthest = max(farthest, float(ways.max()))
-        return farthest
+        return float(self.distance.max())
 
     def separation_distance(self) -> float:
         # The shortest path between two centres crosses once from the points nearest
         # to the one to those nearest to the other.
-        begin, end, length = self.edges
-        crossing = self.sources[begin] != self.sources[end]
-        begin, end = begin[crossing], end[crossing]
-        ways = self.distances[begin] + length[crossing] + self.distances[end]
+        crossing = self.source[self.begin] != self.source[self.end]
+        begin, end = self.begin[crossing], self.end[crossing]
+        ways = self.distance[begin] + self.length[crossing] + self.distance[end]
         return float(ways.min(initial=np.inf)) / 2
+
+    def check_passages(self, reference: Array, fill: float) -> None:
+        """Warn where neighbours are those in time, between passages nearby."""
+        apart = float(np.median(_return_distances(reference)))
+        if np.median(self.longest) < apart < fill:
+            warnings.warn(
+                f"The {self.n_neighbors} neighbours of most points are the samples "
+                f"just before and after, while the motion returns at a distance of "
+                f"{apart:.2g}: paths follow the trajectory. If its passages lie on a "
+                "surface rather than on a curve, thin the reference: "
+                f"reference[SeparatedCenterSelector({apart:.2g}).fit(reference)."
+                "center_indices_].",
+                UserWarning,
+                stacklevel=3,
+            )
+
+
+def _nearest(tree: KDTree, X: Array, which: int | list[int]) -> tuple[Array, Indices]:
+    """Return the distances and numbers of some of the nearest points of a tree."""
+    if which == []:
+        return np.empty((len(X), 0)), np.empty((len(X), 0), dtype=np.intp)
+    distances, indices = tree.query(X, k=[which] if isinstance(which, int) else which)
+    return np.asarray(distances, dtype=np.float64), np.asarray(indices, dtype=np.intp)
 
 
 def _is_geodesic(metric: Any, n_neighbors: int | None) -> bool:

@@ -110,7 +110,7 @@ def sobolev_rates(kernel: Any, n_features: int, dimension: float) -> Bunch:
             f"dimension={dimension} is more than n_features={n_features}: a manifold "
             "has at most the dimension of the space around it."
         )
-    if isinstance(kernel, Real) and not isinstance(kernel, bool):
+    if isinstance(kernel, Real):
         check_number(kernel, "kernel", positive=True)
         tau = float(kernel)
     else:
@@ -127,8 +127,8 @@ def sobolev_rates(kernel: Any, n_features: int, dimension: float) -> Bunch:
         statement = "errors fall faster than any power of the fill distance h"
     else:
         statement = (
-            f"sup error O(h^{s - m / 2:g}), rms error O(h^{s:g}) for functions of order "
-            f"s = {s:g} on the manifold, up to twice that for smoother ones"
+            f"sup error O(h^{s - m / 2:g}), rms error O(h^{s:g}) for functions of "
+            f"order s = {s:g} on the manifold, up to twice that for smoother ones"
         )
     return Bunch(
         tau=tau,
@@ -156,6 +156,6 @@ def _order(kernel: Kernel, n_features: int) -> float:
     if isinstance(kernel, Exponentiation):
         return _order(kernel.kernel, n_features)
     raise ValueError(
-        f"The Sobolev order of kernel={kernel!r} is not known; if you know it, give the "
-        "order tau itself, a number, as the kernel."
+        f"The Sobolev order of kernel={kernel!r} is not known; if you know it, give "
+        "the order tau itself, a number, as the kernel."
     )

@@ -1,4 +1,4 @@
-"""Tables of errors, conditioning and calibration, measured on the user's data."""
+"""Studies of convergence and conditioning on the user's data."""
 
 from __future__ import annotations
 
@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.linalg import LinAlgWarning
-from scipy.special import ndtri
 from scipy.stats import linregress, t
 from sklearn.base import clone
-from sklearn.model_selection import check_cv
 from sklearn.pipeline import Pipeline
-from sklearn.utils import Bunch, check_array, check_X_y, indexable
+from sklearn.utils import Bunch, check_array, check_X_y
 
-from sklearn_koopman._validation import check_number
+from sklearn_koopman._validation import check_number, check_positive
 from sklearn_koopman.centers import SeparatedCenterSelector, sequential_centers
 from sklearn_koopman.diagnostics._conditioning import (
     condition_number,
@@ -30,7 +28,6 @@ from sklearn_koopman.diagnostics._geometry import (
 )
 from sklearn_koopman.diagnostics._rates import sobolev_rates
 from sklearn_koopman.kernels import as_kernel
-from sklearn_koopman.trajectories import TrajectoryKFold
 
 Array = NDArray[np.float64]
 
@@ -40,11 +37,11 @@ ROUNDING = 1e-12
 
 def convergence_study(
     estimator: Any,
-    X: ArrayLike,
-    y: ArrayLike,
-    separations: ArrayLike,
-    X_test: ArrayLike,
-    y_test: ArrayLike,
+    X: Any,
+    y: Any,
+    separations: Any,
+    X_test: Any,
+    y_test: Any,
     *,
     dimension: float | None = None,
     confidence: float = 0.95,
@@ -145,7 +142,7 @@ rms_error, condition_number : ndarray of shape (n_separations,)
     X_test, y_test = check_X_y(
         X_test, y_test, multi_output=True, y_numeric=True, dtype=np.float64
     )
-    separations = _levels(separations, "separations")
+    separations = check_positive(separations, "separations")
     check_number(confidence, "confidence", positive=True)
     if confidence >= 1:
         raise ValueError(f"confidence must be below 1, got {confidence}.")
@@ -190,7 +187,7 @@ rms_error, condition_number : ndarray of shape (n_separations,)
         dimension = _whole_dimension(states)
     rates = sobolev_rates(final.kernel_, states.shape[1], dimension)
     exact = getattr(final, "method", None) == "interpolation" and final.alpha == 0
-    fits = {}
+    fits: dict[str, Any] = {}
     for name, errors in (("slope", "sup_error"), ("rms_slope", "rms_error")):
         fits[name], fits[f"{name}_interval"] = _slope(
             table["fill_distance"][used], table[errors][used], confidence
@@ -208,9 +205,9 @@ rms_error, condition_number : ndarray of shape (n_separations,)
 
 def conditioning_study(
     kernels: Sequence[Any],
-    betas: ArrayLike,
-    X: ArrayLike,
-    separations: ArrayLike,
+    betas: Any,
+    X: Any,
+    separations: Any,
     *,
     dimension: float | None = None,
     confidence: float = 0.95,
@@ -292,7 +289,10 @@ def conditioning_study(
     True
     """
     X = check_array(X, dtype=np.float64, input_name="X")
-    betas, separations = _levels(betas, "betas"), _levels(separations, "separations")
+    betas, separations = (
+        check_positive(betas, "betas"),
+        check_positive(separations, "separations"),
+    )
     kernels = [kernels] if isinstance(kernels, str) else list(kernels)
     if not kernels:
         raise ValueError("kernels is empty; give a name or a kernel at least.")
@@ -342,9 +342,9 @@ def conditioning_study(
 
 def crowding_study(
     kernel: Any,
-    X: ArrayLike,
-    separations: ArrayLike,
-    gaps: ArrayLike,
+    X: Any,
+    separations: Any,
+    gaps: Any,
     *,
     beta: float | None = None,
 ) -> Bunch:
@@ -417,7 +417,10 @@ def crowding_study(
     array([2., 2.])
     """
     X = check_array(X, dtype=np.float64, input_name="X", ensure_min_samples=2)
-    separations, gaps = _levels(separations, "separations"), _levels(gaps, "gaps")
+    separations, gaps = (
+        check_positive(separations, "separations"),
+        check_positive(gaps, "gaps"),
+    )
     distances = _lengths(X - X[0])
     if not distances.any():
         raise ValueError("X holds a single state, so that there is no direction.")
@@ -444,132 +447,6 @@ def crowding_study(
         smallest_eigenvalue=smallest,
         condition_number=_ratio(largest, smallest),
     )
-
-
-def calibration_study(
-    estimator: Any,
-    X: ArrayLike,
-    y: ArrayLike,
-    *,
-    groups: ArrayLike | None = None,
-    cv: Any = None,
-    levels: ArrayLike = (0.5, 0.68, 0.9, 0.95, 0.99),
-) -> Bunch:
-    """Measure whether the stated standard deviations hold on held-out trajectories.
-
-    Parameters
-    ----------
-    estimator : estimator
-        A :class:`~sklearn_koopman.KoopmanKernelRegressor`, or any other whose
-        `predict` has `return_std`, or a pipeline that ends in one. It is not changed.
-    X : array-like of shape (n_samples, n_features)
-        The states.
-    y : array-like of shape (n_samples,) or (n_samples, n_outputs)
-        Their outputs one step later.
-    groups : array-like of shape (n_samples,), default=None
-        The trajectory of each row, so that whole ones are left out.
-    cv : int, cross-validation generator or iterable, default=None
-        How rows are left out. None means
-        :class:`~sklearn_koopman.TrajectoryKFold` with up to five folds.
-    levels : array-like of shape (n_levels,)
-        Probabilities of the central intervals of a normal distribution.
-
-    Returns
-    -------
-    study : :class:`~sklearn.utils.Bunch`
-        With the attributes
-
-        level : ndarray of shape (n_levels,)
-            The probabilities.
-        coverage : ndarray of shape (n_levels,)
-            How many of the held-out outputs, as a fraction, lie in the intervals.
-        fold_coverage : ndarray of shape (n_folds, n_levels)
-            The same for each fold.
-        ratio : float
-            Root mean square of errors over their stated standard deviations: 1 if
-            these are right, and what to multiply them by if not.
-        fold_ratio : ndarray of shape (n_folds,)
-            The same for each fold.
-
-    Raises
-    ------
-    ValueError
-        If the estimator states no standard deviations, or levels are not between 0
-        and 1.
-
-    Notes
-    -----
-    Rows along a trajectory are alike: a fold that stands for another subject or speed
-    tells more than thousands of rows, and the spread of `fold_ratio` how little is
-    known from few folds.
-
-    Examples
-    --------
-    Pendulums swing more smoothly than the kernel makes believe; the deviations are too
-    wide:
-
-    >>> from sklearn_koopman import KoopmanKernelRegressor, SeparatedCenterSelector
-    >>> from sklearn_koopman.datasets import make_pendulum
-    >>> from sklearn_koopman.diagnostics import calibration_study
-    >>> pendulums = make_pendulum(
-    ...     100, initial="random", n_trajectories=20, noise=0.01, random_state=0
-    ... )
-    >>> model = KoopmanKernelRegressor(
-    ...     beta=5.0,
-    ...     centers=SeparatedCenterSelector(0.4),
-    ...     method="least_squares",
-    ...     alpha=1e-4,
-    ... )
-    >>> study = calibration_study(
-    ...     model, pendulums.X, pendulums.y, groups=pendulums.groups
-    ... )
-    >>> round(study.ratio, 1)
-    0.7
-    """
-    X, y, groups = indexable(X, y, groups)
-    levels = _levels(levels, "levels")
-    if levels.max() >= 1:
-        raise ValueError(f"levels must lie between 0 and 1, got {levels.max():g}.")
-    if cv is None:
-        n_folds = 5 if groups is None else min(5, len(np.unique(groups)))
-        cv = TrajectoryKFold(n_folds)
-    limits = ndtri((1 + levels) / 2)
-    X, y = np.asarray(X), np.asarray(y, dtype=np.float64)
-    scaled = []
-    for train, test in check_cv(cv).split(X, y, groups):
-        before, final = _split(clone(estimator).fit(X[train], y[train]))
-        try:
-            mean, std = final.predict(before(X[test]), return_std=True)
-        except TypeError as error:
-            raise ValueError(
-                f"{type(final).__name__}.predict has no return_std; calibration is "
-                "that of stated standard deviations."
-            ) from error
-        missed = np.abs(y[test] - mean)
-        # An error of zero is within any standard deviation, zero included.
-        with np.errstate(divide="ignore"):
-            scaled.append(np.divide(missed, std, out=0 * missed, where=missed > 0))
-    inside = [
-        (z.reshape(-1, 1) <= limits).mean(axis=0) if z.size else np.nan for z in scaled
-    ]
-    together = np.concatenate([z.ravel() for z in scaled])
-    return Bunch(
-        level=levels,
-        coverage=(together[:, np.newaxis] <= limits).mean(axis=0),
-        fold_coverage=np.array(inside),
-        ratio=float(np.sqrt(np.mean(together**2))),
-        fold_ratio=np.array([np.sqrt(np.mean(z**2)) for z in scaled]),
-    )
-
-
-def _levels(values: Any, name: str) -> Array:
-    """Check a list of positive numbers."""
-    levels = check_array(
-        np.atleast_1d(values), ensure_2d=False, dtype=np.float64, input_name=name
-    )
-    if levels.ndim != 1 or not (levels > 0).all():
-        raise ValueError(f"{name} must be a list of positive numbers, got {values!r}.")
-    return np.asarray(levels, dtype=np.float64)
 
 
 def _ratio(largest: Array, smallest: Array) -> Array:
