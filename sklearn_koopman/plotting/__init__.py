@@ -1,0 +1,22 @@
+"""Displays of estimates, studies, centres, forecasts and spectra.
+
+Every display computes in a class method such as `from_estimator`, stores what it found,
+and draws it in `plot`, on given axes or a figure of its own. Only drawing needs
+matplotlib: ``pip install "sklearn-koopman[plot]"``.
+"""
+
+from sklearn_koopman.plotting._centers import CenterSelectionDisplay
+from sklearn_koopman.plotting._conditioning import ConditioningDisplay
+from sklearn_koopman.plotting._dynamics import ForecastDisplay
+from sklearn_koopman.plotting._spectrum import SpectrumDisplay
+from sklearn_koopman.plotting._studies import ConvergenceDisplay
+from sklearn_koopman.plotting._surface import SurfaceDisplay
+
+__all__ = [
+    "CenterSelectionDisplay",
+    "ConditioningDisplay",
+    "ConvergenceDisplay",
+    "ForecastDisplay",
+    "SpectrumDisplay",
+    "SurfaceDisplay",
+]

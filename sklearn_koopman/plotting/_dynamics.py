@@ -1,0 +1,398 @@
+"""Display of predictions and forecasts over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_koopman._validation import check_flag, check_integer, check_number
+from sklearn_koopman.plotting._inputs import column, one_step, times_of, unwrap
+from sklearn_koopman.plotting._style import (
+    COLORS,
+    axes_for,
+    limit_view,
+    line_style,
+    merged,
+    next_style,
+    with_unit,
+)
+
+__all__ = ["ForecastDisplay"]
+
+Array = NDArray[np.float64]
+
+TRUTH = "measured"
+
+
+class ForecastDisplay:
+    """Measured and predicted output over time, with a band of uncertainty.
+
+    It is recommended to create it by :meth:`from_predictions` or
+    :meth:`from_estimator`. All parameters are stored as attributes. Several displays on
+    the same axes, of several models, share the line of the measured output.
+
+    Parameters
+    ----------
+    time : ndarray of shape (n_times,)
+        The times of the outputs.
+    y_true : ndarray of shape (n_times,)
+        The measured output.
+    y_pred : ndarray of shape (n_times,)
+        The predicted output; NaN where a forecast could not be followed any further.
+    bound : ndarray of shape (n_times,), default=None
+        Half the width of a band around the prediction.
+    bound_label : str, default="bound"
+        What the band is.
+    name : str, default="predicted"
+        What the prediction is.
+    time_label : str, default="time [samples]"
+        Label of the horizontal axis.
+    output_name : str, default="output"
+        Name of the output.
+    unit : str, default=None
+        Its unit.
+
+    Attributes
+    ----------
+    truth_ : matplotlib Line2D
+        The measured output.
+    prediction_ : matplotlib Line2D
+        The predicted one.
+    band_ : matplotlib PolyCollection or None
+        The band.
+    ax_ : matplotlib Axes
+        The axes.
+    figure_ : matplotlib Figure
+        The figure that they are in.
+
+    See Also
+    --------
+    SpectrumDisplay : The eigenvalues that a forecast is made of.
+    sklearn_koopman.forecast_score : Scores forecasts from all starts.
+
+    Notes
+    -----
+    Where predictions or the band are beyond the measured output by more than its range,
+    the vertical axis ends there, so that a forecast that diverges, or a bound that is
+    loose, does not flatten the rest.
+
+    Examples
+    --------
+    >>> import matplotlib
+    >>> matplotlib.use("Agg")
+    >>> import matplotlib.pyplot as plt
+    >>> from sklearn_koopman import KernelEDMD, SeparatedCenterSelector
+    >>> from sklearn_koopman.datasets import make_pendulum
+    >>> from sklearn_koopman.plotting import ForecastDisplay
+    >>> pendulum = make_pendulum(256, step=0.1)
+    >>> model = KernelEDMD(
+    ...     "wendland_c4", beta=4.0, centers=SeparatedCenterSelector(0.23)
+    ... ).fit(pendulum.X, pendulum.y, X_next=pendulum.X_next)
+    >>> display = ForecastDisplay.from_estimator(
+    ...     model, pendulum.X, pendulum.y, n_steps=100, dt=0.1
+    ... )
+    >>> display.time[[0, -1]]
+    array([ 0.1, 10. ])
+    >>> plt.close(display.figure_)
+    """
+
+    def __init__(
+        self,
+        *,
+        time: Array,
+        y_true: Array,
+        y_pred: Array,
+        bound: Array | None = None,
+        bound_label: str = "bound",
+        name: str = "predicted",
+        time_label: str = "time [samples]",
+        output_name: str = "output",
+        unit: str | None = None,
+    ) -> None:
+        self.time = time
+        self.y_true = y_true
+        self.y_pred = y_pred
+        self.bound = bound
+        self.bound_label = bound_label
+        self.name = name
+        self.time_label = time_label
+        self.output_name = output_name
+        self.unit = unit
+
+    @classmethod
+    def from_predictions(
+        cls,
+        y_true: Any,
+        y_pred: Any,
+        *,
+        bound: Any = None,
+        bound_label: str = "bound",
+        time: Any = None,
+        dt: float | None = None,
+        time_label: str | None = None,
+        output: int = 0,
+        output_name: str | None = None,
+        unit: str | None = None,
+        name: str = "predicted",
+        ax: Any = None,
+        truth_kw: Mapping[str, Any] | None = None,
+        prediction_kw: Mapping[str, Any] | None = None,
+        band_kw: Mapping[str, Any] | None = None,
+    ) -> ForecastDisplay:
+        """Plot predictions beside the truth.
+
+        Parameters
+        ----------
+        y_true : array-like of shape (n_times,) or (n_times, n_outputs)
+            The measured outputs, in the order of time.
+        y_pred : array-like of shape (n_times,) or (n_times, n_outputs)
+            The predicted ones.
+        bound : array-like of shape (n_times,) or (n_times, n_outputs), default=None
+            Half the width of a band around the predictions. One column is taken for
+            all outputs.
+        bound_label : str, default="bound"
+            What the band is, for the legend.
+        time : array-like of shape (n_times,), default=None
+            The times of the outputs in seconds.
+        dt : float, default=None
+            Instead of them, the time between outputs. The first one is `dt` after the
+            start, as the outputs of a row are one step after it. With neither, samples
+            are counted.
+        time_label : str, default=None
+            Label of the horizontal axis. None for "time [s]" or "time [samples]".
+        output : int, default=0
+            Which of several outputs.
+        output_name : str, default=None
+            Its name. None for "output", with its number if there are several.
+        unit : str, default=None
+            Its unit.
+        name : str, default="predicted"
+            What to call the prediction in the legend.
+        ax : matplotlib Axes, default=None
+            The axes to draw on. None for those of a new figure.
+        truth_kw, prediction_kw : dict, default=None
+            Keyword arguments for the lines.
+        band_kw : dict, default=None
+            Keyword arguments for ``fill_between``.
+
+        Returns
+        -------
+        display : ForecastDisplay
+            The display.
+
+        Raises
+        ------
+        ValueError
+            If shapes do not agree; if there is no such output; if `bound` is negative;
+            if both `time` and `dt` are given.
+        """
+        y_true, y_pred = np.asarray(y_true), np.asarray(y_pred)
+        n_times = len(y_pred)
+        truth = column(y_true, output, n_times, "y_true")
+        predicted = column(y_pred, output, n_times, "y_pred")
+        if bound is not None:
+            bound = np.asarray(bound, dtype=np.float64)
+            shared = bound.reshape(len(bound), -1).shape[1] == 1
+            bound = column(bound, 0 if shared else output, n_times, "bound")
+            if (bound < 0).any():
+                raise ValueError(
+                    f"bound must be half the width of the band, got {bound.min():.3g}."
+                )
+        if output_name is None:
+            output_name = "output" if y_true[:1].size == 1 else f"output {output}"
+        if time_label is None:
+            counted = time is None and dt is None
+            time_label = "time [samples]" if counted else "time [s]"
+        return cls(
+            time=times_of(n_times, time, dt),
+            y_true=truth,
+            y_pred=predicted,
+            bound=bound,
+            bound_label=bound_label,
+            name=name,
+            time_label=time_label,
+            output_name=output_name,
+            unit=unit,
+        ).plot(ax, truth_kw=truth_kw, prediction_kw=prediction_kw, band_kw=band_kw)
+
+    @classmethod
+    def from_estimator(
+        cls,
+        estimator: Any,
+        X: Any,
+        y: Any,
+        *,
+        n_steps: int | None = None,
+        start: int = 0,
+        lag: int = 1,
+        relift: bool = False,
+        band: str | None = None,
+        norm: Any = None,
+        dt: float | None = None,
+        **display_kw: Any,
+    ) -> ForecastDisplay:
+        """Plot the predictions of a fitted model along a trajectory.
+
+        Parameters
+        ----------
+        estimator : estimator instance
+            A fitted regressor; for forecasts a :class:`~sklearn_koopman.KernelEDMD`. Or
+            a pipeline or a search of one.
+        X : array-like of shape (n_samples, n_features)
+            The states of one trajectory, in the order of time.
+        y : array-like of shape (n_samples,) or (n_samples, n_outputs)
+            The outputs one step after each of them.
+        n_steps : int, default=None
+            None to predict one step ahead of every row from `start` on; a number to
+            forecast so many steps from the row `start` alone.
+        start : int, default=0
+            The row to begin with, from which the time is counted.
+        lag : int, default=1
+            How many rows make one step.
+        relift : bool, default=False
+            As for :meth:`sklearn_koopman.KernelEDMD.forecast`.
+        band : {"std", "bound"}, default=None
+            A band for predictions one step ahead: two standard deviations, or the error
+            bound of a :class:`~sklearn_koopman.KoopmanKernelRegressor`.
+        norm : float or array-like of shape (n_outputs,), default=None
+            The native norm of the outputs, for the error bound. None to estimate it.
+        dt : float, default=None
+            The time between rows in seconds. None to count samples.
+        **display_kw : dict
+            What :meth:`from_predictions` takes, but `bound` and `time`.
+
+        Returns
+        -------
+        display : ForecastDisplay
+            The display.
+
+        Raises
+        ------
+        ValueError
+            If the estimator is not fitted, or cannot forecast or give the band; if a
+            parameter is outside its range, or there are too few rows.
+        """
+        check_is_fitted(estimator)
+        check_integer(start, "start", 0)
+        check_integer(lag, "lag", 1)
+        check_flag(relift, "relift")
+        if band not in (None, "std", "bound"):
+            raise ValueError(f"band must be 'std', 'bound' or None, got {band!r}.")
+        if dt is not None:
+            check_number(dt, "dt", positive=True)
+        y = np.asarray(y)
+        if len(y) != len(X):
+            raise ValueError(
+                f"y must have an output for each of the {len(X)} rows of X, got "
+                f"{len(y)}."
+            )
+        needed = start + 1
+        if n_steps is not None:
+            check_integer(n_steps, "n_steps", 1)
+            needed += lag * (n_steps - 1)
+        if len(y) < needed:
+            raise ValueError(
+                f"start={start}, lag={lag} and n_steps={n_steps} need {needed} rows, "
+                f"got {len(y)}; lower start or n_steps, or give more rows."
+            )
+        final, scaler = unwrap(estimator)
+        states = X if scaler is None else scaler.transform(X)
+        taken = slice(start, None if n_steps is None else start + 1)
+        states = states.iloc[taken] if hasattr(states, "iloc") else states[taken]
+        if n_steps is None:
+            truth, ahead = y[start:], lag + np.arange(len(y) - start)
+            predicted, bound, label = one_step(final, states, band, norm)
+        else:
+            if not hasattr(final, "forecast") or band is not None:
+                raise ValueError(
+                    f"n_steps={n_steps} asks for a forecast, which takes a KernelEDMD "
+                    f"and has no band; got {type(final).__name__} and band={band!r}. "
+                    "With n_steps=None predictions are one step ahead."
+                )
+            truth, ahead = y[start::lag][:n_steps], lag * np.arange(1, n_steps + 1)
+            predicted = final.forecast(states, n_steps, relift=relift)[0]
+            bound, label = None, "bound"
+        defaults = {
+            "bound_label": label,
+            "time_label": "time [samples]" if dt is None else "time [s]",
+        }
+        return cls.from_predictions(
+            truth,
+            predicted,
+            bound=bound,
+            time=ahead * (1 if dt is None else dt),
+            **{**defaults, **display_kw},
+        )
+
+    def plot(
+        self,
+        ax: Any = None,
+        *,
+        truth_kw: Mapping[str, Any] | None = None,
+        prediction_kw: Mapping[str, Any] | None = None,
+        band_kw: Mapping[str, Any] | None = None,
+    ) -> ForecastDisplay:
+        """Draw truth, prediction and band.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, default=None
+            The axes to draw on. None for those of a new figure.
+        truth_kw, prediction_kw : dict, default=None
+            Keyword arguments for the lines.
+        band_kw : dict, default=None
+            Keyword arguments for ``fill_between``.
+
+        Returns
+        -------
+        display : ForecastDisplay
+            The display itself.
+        """
+        ax = axes_for(ax)
+        style = {"color": "k", "linewidth": 1.5, "label": TRUTH}
+        style = line_style(style, truth_kw)
+        shared = [
+            line
+            for line in ax.lines
+            if line.get_label() == style["label"]
+            and np.array_equal(line.get_xdata(), self.time)
+            and np.array_equal(line.get_ydata(), self.y_true, equal_nan=True)
+        ]
+        n_before = next_style(ax, [style["label"]])[0]
+        drawn = shared or ax.plot(self.time, self.y_true, **style)
+        self.truth_ = drawn[0]
+        style = {
+            "color": COLORS[(n_before + 1) % len(COLORS)],  # no blue on black
+            "linestyle": "--",
+            "linewidth": 1.5,
+            "label": self.name,
+        }
+        (self.prediction_,) = ax.plot(
+            self.time, self.y_pred, **line_style(style, prediction_kw)
+        )
+        self.band_ = None
+        edges = [self.y_pred]
+        if self.bound is not None:
+            edges = [self.y_pred - self.bound, self.y_pred + self.bound]
+            style = {
+                "facecolor": self.prediction_.get_color(),
+                "alpha": 0.25,
+                "linewidth": 0,
+                "zorder": 1.5,
+                "label": self.bound_label,
+            }
+            self.band_ = ax.fill_between(
+                self.time,
+                *edges,
+                **merged("collections.PolyCollection", style, band_kw),
+            )
+        limit_view(ax, self.y_true)
+        ax.set(xlabel=self.time_label, ylabel=with_unit(self.output_name, self.unit))
+        ax.legend(loc="upper center", ncols=4, fontsize="small")
+        self.ax_ = ax
+        self.figure_ = ax.figure
+        return self

@@ -1,0 +1,203 @@
+"""Display of the spectrum of an operator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_koopman._validation import check_flag
+from sklearn_koopman.plotting._inputs import unwrap
+from sklearn_koopman.plotting._style import axes_for, line_style, merged
+
+__all__ = ["SpectrumDisplay"]
+
+Array = NDArray[np.float64]
+
+SMALLEST = 1e-6  # residuals below it all get the same colour
+
+
+class SpectrumDisplay:
+    """Eigenvalues of a Koopman operator, and how far to trust them.
+
+    The colour is the residual: how far each eigenpair is from one of the true operator.
+    Of eigenvalues that cover each other, the most trustworthy is on top.
+
+    It is recommended to create it by :meth:`from_estimator`. All parameters are stored
+    as attributes.
+
+    Parameters
+    ----------
+    eigenvalues : ndarray of shape (n_modes,), complex
+        The eigenvalues.
+    residuals : ndarray of shape (n_modes,)
+        Their residuals. Zero gets the colour of the smallest positive one, infinity and
+        NaN that of the largest.
+
+    Attributes
+    ----------
+    scatter_ : matplotlib PathCollection
+        The eigenvalues, from the least to the most trustworthy: in falling order of
+        ``residuals / abs(eigenvalues)``.
+    circle_ : matplotlib Line2D
+        The unit circle, on which motion neither grows nor decays.
+    colorbar_ : matplotlib Colorbar or None
+        The scale of residuals.
+    ax_ : matplotlib Axes
+        The axes.
+    figure_ : matplotlib Figure
+        The figure that they are in.
+
+    See Also
+    --------
+    ForecastDisplay : What the operator predicts.
+    sklearn_koopman.KernelEDMD : Estimates the operator.
+
+    Examples
+    --------
+    >>> import matplotlib
+    >>> matplotlib.use("Agg")
+    >>> import matplotlib.pyplot as plt
+    >>> from sklearn_koopman import KernelEDMD, SeparatedCenterSelector
+    >>> from sklearn_koopman.datasets import make_pendulum
+    >>> from sklearn_koopman.plotting import SpectrumDisplay
+    >>> pendulum = make_pendulum(256)
+    >>> model = KernelEDMD(
+    ...     "wendland_c4", beta=4.0, centers=SeparatedCenterSelector(0.23)
+    ... ).fit(pendulum.X, X_next=pendulum.X_next)
+    >>> display = SpectrumDisplay.from_estimator(model)
+    >>> display.ax_.get_title()
+    '37 eigenvalues'
+    >>> plt.close(display.figure_)
+    """
+
+    def __init__(
+        self, *, eigenvalues: NDArray[np.complex128], residuals: Array
+    ) -> None:
+        self.eigenvalues = eigenvalues
+        self.residuals = residuals
+
+    @classmethod
+    def from_estimator(
+        cls,
+        estimator: Any,
+        *,
+        ax: Any = None,
+        colorbar: bool = True,
+        scatter_kw: Mapping[str, Any] | None = None,
+        circle_kw: Mapping[str, Any] | None = None,
+    ) -> SpectrumDisplay:
+        """Plot the spectrum of a fitted operator.
+
+        Parameters
+        ----------
+        estimator : KernelEDMD
+            The fitted operator, or a pipeline or a search of one.
+        ax : matplotlib Axes, default=None
+            The axes to draw on. None for those of a new figure.
+        colorbar : bool, default=True
+            Whether to draw the scale of residuals.
+        scatter_kw, circle_kw : dict, default=None
+            Keyword arguments for ``scatter``, such as a `norm` that several displays
+            share, and for the line of the unit circle.
+
+        Returns
+        -------
+        display : SpectrumDisplay
+            The display.
+
+        Raises
+        ------
+        ValueError
+            If the estimator is not fitted, or has no spectrum.
+        """
+        check_is_fitted(estimator)
+        final, _ = unwrap(estimator)
+        eigenvalues: Any = getattr(final, "eigenvalues_", ())
+        if not hasattr(final, "residuals_") or len(eigenvalues) == 0:
+            raise ValueError(
+                f"estimator={final!r} has no spectrum; pass a KernelEDMD fitted with "
+                "n_modes=None, or with as many modes as you need."
+            )
+        return cls(eigenvalues=eigenvalues, residuals=final.residuals_).plot(
+            ax, colorbar=colorbar, scatter_kw=scatter_kw, circle_kw=circle_kw
+        )
+
+    def plot(
+        self,
+        ax: Any = None,
+        *,
+        colorbar: bool = True,
+        scatter_kw: Mapping[str, Any] | None = None,
+        circle_kw: Mapping[str, Any] | None = None,
+    ) -> SpectrumDisplay:
+        """Draw the eigenvalues and the unit circle.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, default=None
+            The axes to draw on. None for those of a new figure.
+        colorbar : bool, default=True
+            Whether to draw the scale of residuals.
+        scatter_kw, circle_kw : dict, default=None
+            Keyword arguments for ``scatter``, such as a `norm` that several displays
+            share, and for the line of the unit circle.
+
+        Returns
+        -------
+        display : SpectrumDisplay
+            The display itself.
+        """
+        check_flag(colorbar, "colorbar")
+        ax = axes_for(ax)
+        from matplotlib.colors import LogNorm
+
+        residuals = np.asarray(self.residuals, dtype=np.float64)
+        ordinary = residuals[np.isfinite(residuals) & (residuals > 0)]
+        # An eigenpair whose residual is one is worth nothing. One eigenvalue known up
+        # to rounding, that of a trend, must not make all others look alike.
+        low = float(np.clip(ordinary.min(initial=0.1), SMALLEST, 0.1))
+        norm = LogNorm(low, 1.0)
+        largest = ordinary.max(initial=1.0)
+        shown = np.where(residuals > 0, np.minimum(residuals, largest), low)
+        shown[np.isnan(residuals)] = largest
+        with np.errstate(divide="ignore", invalid="ignore"):
+            doubt = residuals / np.abs(self.eigenvalues)
+        order = np.argsort(np.nan_to_num(doubt, nan=np.inf), kind="stable")[::-1]
+        angle = np.linspace(0, 2 * np.pi, 400)
+        style = {"color": "0.8", "linewidth": 1, "zorder": 0}
+        (self.circle_,) = ax.plot(
+            np.cos(angle), np.sin(angle), **line_style(style, circle_kw)
+        )
+        style = {"cmap": "viridis_r", "norm": norm, "s": 30, "edgecolor": "0.3"}
+        style |= {"linewidth": 0.4}
+        self.scatter_ = ax.scatter(
+            self.eigenvalues.real[order],
+            self.eigenvalues.imag[order],
+            c=shown[order],
+            **merged("collections.PathCollection", style, scatter_kw),
+        )
+        self.colorbar_ = None
+        if colorbar:
+            norm = self.scatter_.norm
+            ends = (shown < norm.vmin).any(), (shown > norm.vmax).any()
+            extend = {(False, False): "neither", (True, True): "both"}
+            self.colorbar_ = ax.figure.colorbar(
+                self.scatter_,
+                ax=ax,
+                label="residual",
+                extend=extend.get(ends, "min" if ends[0] else "max"),
+            )
+        ax.locator_params(nbins=6)
+        ax.set(
+            xlabel="real part of the eigenvalue",
+            ylabel="imaginary part of the eigenvalue",
+            title=f"{len(residuals)} eigenvalues",
+            aspect="equal",
+        )
+        self.ax_ = ax
+        self.figure_ = ax.figure
+        return self

@@ -1,0 +1,375 @@
+"""Display of an estimate as a surface over two state variables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.utils import check_array
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_koopman._validation import check_integer, check_number
+from sklearn_koopman.plotting._inputs import (
+    check_limits,
+    column,
+    locate_centers,
+    names_of_features,
+    predict_like,
+    unwrap,
+)
+from sklearn_koopman.plotting._style import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    axes_for,
+    cut_surface,
+    line_style,
+    merged,
+)
+
+__all__ = ["SurfaceDisplay"]
+
+Array = NDArray[np.float64]
+
+# Surfaces are drawn this far, in ranges, beyond the outputs.
+MARGIN = 0.25
+QUANTILES = (0.01, 0.99)
+
+
+class SurfaceDisplay:
+    """Estimate over a plane of states, above the motion that it was learned from.
+
+    The mesh is the estimate of the next output, a function on the whole plane; the
+    samples lie on the manifold of the motion lifted to their outputs, and only near it
+    the estimate is to be trusted. The centres are shown twice, in the plane of states
+    at the bottom and, where the estimate interpolates their outputs, on the mesh.
+
+    It is recommended to create it by :meth:`from_estimator`. All parameters are stored
+    as attributes.
+
+    Parameters
+    ----------
+    xx0, xx1 : ndarray of shape (grid_resolution, grid_resolution)
+        The states of the grid, as :func:`numpy.meshgrid` gives them.
+    estimate : ndarray of shape (grid_resolution, grid_resolution)
+        The estimate there.
+    truth : ndarray of shape (grid_resolution, grid_resolution), default=None
+        The true function there, if it is known.
+    samples : ndarray of shape (n_samples, 2), default=None
+        The states of the motion.
+    sample_values : ndarray of shape (n_samples,), default=None
+        Their outputs.
+    centers : ndarray of shape (n_centers, 2), default=None
+        The centres.
+    center_values : ndarray of shape (n_centers,), default=None
+        The estimate there.
+    z_limits : tuple of two float, default=None
+        The range of outputs that is drawn. An estimate may grow large away from the
+        data, and would flatten everything else. None for the range of all
+        `sample_values` and of the middle 98 % of `truth`, and a quarter of it on both
+        sides (without either, that of the middle 98 % of `estimate`). Surfaces are
+        clipped where they leave it, and left out beyond.
+    feature_names : sequence of two str, default=None
+        Names of the states, with their units. None for "x0" and "x1".
+    output_name : str, default=None
+        Name of the output, with its unit. None for "output".
+
+    Attributes
+    ----------
+    estimate_ : matplotlib Poly3DCollection
+        The estimate.
+    truth_ : matplotlib Poly3DCollection or None
+        The true function.
+    samples_, centers_, interpolated_ : matplotlib Line3D or None
+        The samples; the centres in the plane of states; and these on the estimate.
+    ax_ : matplotlib Axes3D
+        The axes.
+    figure_ : matplotlib Figure
+        The figure that they are in.
+
+    See Also
+    --------
+    CenterSelectionDisplay : The centres alone, in the plane.
+    ForecastDisplay : Estimates over time, of states in any dimension.
+
+    Examples
+    --------
+    >>> import matplotlib
+    >>> matplotlib.use("Agg")
+    >>> import matplotlib.pyplot as plt
+    >>> from sklearn_koopman import KoopmanKernelRegressor, SeparatedCenterSelector
+    >>> from sklearn_koopman.datasets import make_pendulum
+    >>> from sklearn_koopman.plotting import SurfaceDisplay
+    >>> pendulum = make_pendulum(256)
+    >>> model = KoopmanKernelRegressor(
+    ...     "wendland_c4", beta=4.0, centers=SeparatedCenterSelector(0.23)
+    ... ).fit(pendulum.X, pendulum.y)
+    >>> display = SurfaceDisplay.from_estimator(
+    ...     model, pendulum.X, pendulum.y, function=lambda x: pendulum.G(pendulum.f(x))
+    ... )
+    >>> display.estimate.shape
+    (50, 50)
+    >>> plt.close(display.figure_)
+    """
+
+    def __init__(
+        self,
+        *,
+        xx0: Array,
+        xx1: Array,
+        estimate: Array,
+        truth: Array | None = None,
+        samples: Array | None = None,
+        sample_values: Array | None = None,
+        centers: Array | None = None,
+        center_values: Array | None = None,
+        z_limits: tuple[float, float] | None = None,
+        feature_names: Sequence[str] | None = None,
+        output_name: str | None = None,
+    ) -> None:
+        self.xx0 = xx0
+        self.xx1 = xx1
+        self.estimate = estimate
+        self.truth = truth
+        self.samples = samples
+        self.sample_values = sample_values
+        self.centers = centers
+        self.center_values = center_values
+        self.z_limits = z_limits
+        self.feature_names = feature_names
+        self.output_name = output_name
+
+    @classmethod
+    def from_estimator(
+        cls,
+        estimator: Any,
+        X: Any,
+        y: Any = None,
+        *,
+        function: Callable[[Array], Any] | None = None,
+        output: int = 0,
+        grid_resolution: int = 50,
+        padding: float = 0.1,
+        z_limits: tuple[float, float] | None = None,
+        feature_names: Sequence[str] | None = None,
+        output_name: str | None = None,
+        ax: Any = None,
+        estimate_kw: Mapping[str, Any] | None = None,
+        truth_kw: Mapping[str, Any] | None = None,
+        sample_kw: Mapping[str, Any] | None = None,
+        center_kw: Mapping[str, Any] | None = None,
+        interpolated_kw: Mapping[str, Any] | None = None,
+    ) -> SurfaceDisplay:
+        """Plot the estimate of a fitted model of two state variables.
+
+        Parameters
+        ----------
+        estimator : estimator instance
+            A fitted regressor, or a pipeline or a search of one. Centres are shown for
+            those of this package, and for a pipeline if `X` holds the rows that it was
+            fitted to.
+        X : array-like of shape (n_samples, 2)
+            States of the motion; for a pipeline before its first step.
+        y : array-like of shape (n_samples,) or (n_samples, n_outputs), default=None
+            Their outputs one step later. None for those of `function` or else, of the
+            estimate.
+        function : callable, default=None
+            The true function from states of shape (n, 2) to outputs one step later.
+        output : int, default=0
+            Which of several outputs.
+        grid_resolution : int, default=50
+            Number of grid points in each direction.
+        padding : float, default=0.1
+            How far the grid reaches beyond the states on each side, as a fraction of
+            their range.
+        z_limits : tuple of two float, default=None
+            The range of outputs that is drawn. None for that of the data, and a
+            quarter of it on both sides; see :class:`SurfaceDisplay`.
+        feature_names : sequence of two str, default=None
+            Names of the states, with their units. By default those seen by `fit`.
+        output_name : str, default=None
+            Name of the output, with its unit.
+        ax : matplotlib Axes3D, default=None
+            The axes to draw on. None for those of a new figure.
+        estimate_kw, truth_kw : dict, default=None
+            Keyword arguments for ``plot_surface``.
+        sample_kw, center_kw, interpolated_kw : dict, default=None
+            Keyword arguments for the lines of samples, centres and centres on the
+            estimate.
+
+        Returns
+        -------
+        display : SurfaceDisplay
+            The display.
+
+        Raises
+        ------
+        ValueError
+            If the estimator is not fitted; if `X` has not two features; if there is no
+            such output; if `y`, or what `function` returns, does not fit; if a
+            parameter is outside its range; if `ax` is not three-dimensional.
+        """
+        check_is_fitted(estimator)
+        check_integer(grid_resolution, "grid_resolution", 2)
+        check_number(padding, "padding")
+        given = X
+        X = check_array(X, dtype=np.float64, input_name="X")
+        if X.shape[1] != 2:
+            raise ValueError(
+                f"X must have two features to draw a surface above them, got "
+                f"{X.shape[1]}; ForecastDisplay shows estimates of any number."
+            )
+        names = names_of_features(unwrap(estimator)[0], given, feature_names)
+        check_limits(z_limits)
+        centers = locate_centers(estimator, given, X)
+        low, high = X.min(axis=0), X.max(axis=0)
+        size = np.where(high > low, high - low, np.maximum(np.abs(low), 1))
+        xx0, xx1 = np.meshgrid(
+            *np.linspace(low - padding * size, high + padding * size, grid_resolution).T
+        )
+        grid = np.column_stack([xx0.ravel(), xx1.ravel()])
+        estimate = predict_like(estimator, given, grid, output)
+        truth = values = None
+        if function is not None:
+            truth = column(function(grid), output, len(grid), "function(X)")
+        if y is not None:
+            values = column(y, output, len(X), "y")
+        elif function is not None:
+            values = column(function(X), output, len(X), "function(X)")
+        else:
+            values = predict_like(estimator, given, X, output)
+        at_centers = None
+        if centers is not None:
+            at_centers = predict_like(estimator, given, centers, output)
+        return cls(
+            xx0=xx0,
+            xx1=xx1,
+            estimate=estimate.reshape(xx0.shape),
+            truth=None if truth is None else truth.reshape(xx0.shape),
+            samples=X,
+            sample_values=values,
+            centers=centers,
+            center_values=at_centers,
+            z_limits=z_limits,
+            feature_names=names,
+            output_name=output_name,
+        ).plot(
+            ax,
+            estimate_kw=estimate_kw,
+            truth_kw=truth_kw,
+            sample_kw=sample_kw,
+            center_kw=center_kw,
+            interpolated_kw=interpolated_kw,
+        )
+
+    def plot(
+        self,
+        ax: Any = None,
+        *,
+        estimate_kw: Mapping[str, Any] | None = None,
+        truth_kw: Mapping[str, Any] | None = None,
+        sample_kw: Mapping[str, Any] | None = None,
+        center_kw: Mapping[str, Any] | None = None,
+        interpolated_kw: Mapping[str, Any] | None = None,
+    ) -> SurfaceDisplay:
+        """Draw the surfaces, and what they come from.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes3D, default=None
+            The axes to draw on. None for those of a new figure.
+        estimate_kw, truth_kw : dict, default=None
+            Keyword arguments for ``plot_surface``.
+        sample_kw, center_kw, interpolated_kw : dict, default=None
+            Keyword arguments for the lines of samples, centres and centres on the
+            estimate.
+
+        Returns
+        -------
+        display : SurfaceDisplay
+            The display itself.
+        """
+        ax = axes_for(ax, "3d")
+        if not hasattr(ax, "plot_surface"):
+            raise ValueError(
+                "ax must be three-dimensional; make it by "
+                "plt.subplots(subplot_kw={'projection': '3d'})."
+            )
+        from matplotlib.patches import Patch
+
+        low, high = self.z_limits or self._limits()
+        # Translucent surfaces first, and points on top of them: matplotlib would sort
+        # whole artists by their mean depth.
+        ax.computed_zorder = False
+        handles: list[Any] = []
+
+        def _surface(values: Array, label: str, defaults: Any, given: Any) -> Any:
+            kw = merged("collections.PolyCollection", defaults, given)
+            values = cut_surface(values, low, high)
+            drawn = ax.plot_surface(self.xx0, self.xx1, values, **kw)
+            color = kw.get("color", kw.get("facecolor"))
+            edge = kw.get("edgecolor", "none")
+            handles.append(
+                Patch(facecolor=color, edgecolor=edge, alpha=kw["alpha"], label=label)
+            )
+            return drawn
+
+        def _points(x: Array, z: Any, defaults: Any, given: Any) -> Any:
+            kw = line_style({"linestyle": "none", "marker": "o"} | defaults, given)
+            (drawn,) = ax.plot(*x.T, z, **kw)
+            handles.append(drawn)
+            return drawn
+
+        self.truth_ = self.samples_ = self.centers_ = self.interpolated_ = None
+        if self.truth is not None:
+            style = {"color": GREEN, "alpha": 0.35, "linewidth": 0, "zorder": 2}
+            style |= {"rcount": len(self.truth), "ccount": len(self.truth)}
+            self.truth_ = _surface(self.truth, "true function", style, truth_kw)
+        style = {"color": BLUE, "edgecolor": BLUE, "alpha": 0.25, "linewidth": 0.4}
+        style |= {"rcount": 25, "ccount": 25, "shade": False, "zorder": 3}
+        self.estimate_ = _surface(self.estimate, "estimate", style, estimate_kw)
+        if self.samples is not None and self.sample_values is not None:
+            style = {"color": "k", "markersize": 1.5, "label": "samples", "zorder": 4}
+            self.samples_ = _points(self.samples, self.sample_values, style, sample_kw)
+        if self.centers is not None and self.center_values is not None:
+            n = len(self.centers)
+            size = float(np.clip(30 / np.sqrt(n), 1.2, 5))
+            style = {"color": ORANGE, "markersize": size, "zorder": 5}
+            on_mesh = style | {"label": "estimate at the centres"}
+            values = np.where(
+                (self.center_values >= low) & (self.center_values <= high),
+                self.center_values,
+                np.nan,
+            )
+            self.interpolated_ = _points(self.centers, values, on_mesh, interpolated_kw)
+            style |= {"markerfacecolor": "none", "zorder": 1, "label": f"{n} centres"}
+            style["markeredgewidth"] = max(size / 6, 0.4)
+            self.centers_ = _points(self.centers, np.full(n, low), style, center_kw)
+        names = self.feature_names or ("x0", "x1")
+        output = "output" if self.output_name is None else self.output_name
+        ax.set(xlabel=names[0], ylabel=names[1], zlabel=output, zlim=(low, high))
+        ax.locator_params(nbins=5)
+        ax.legend(handles=handles, loc="upper left", fontsize="small")
+        self.ax_ = ax
+        self.figure_ = ax.figure
+        return self
+
+    def _limits(self) -> tuple[float, float]:
+        """Return the range of outputs that is worth drawing."""
+        ranges: list[Any] = []
+        for values, quantiles in (
+            (self.sample_values, (0.0, 1.0)),
+            (self.truth, QUANTILES),
+            (self.estimate, QUANTILES),
+        ):
+            fallback = values is self.estimate
+            if values is None or (fallback and ranges):
+                continue
+            finite = values[np.isfinite(values)]
+            if len(finite):
+                ranges.append(np.quantile(finite, quantiles))
+        low, high = (np.min(ranges), np.max(ranges)) if ranges else (0.0, 0.0)
+        margin = MARGIN * (high - low) or 1.0
+        return float(low - margin), float(high + margin)
