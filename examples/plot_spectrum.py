@@ -20,10 +20,10 @@ matplotlib.use("Agg")  # the figure is saved, not shown
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.colors import LogNorm
 
 from sklearn_koopman import KernelEDMD, SeparatedCenterSelector
 from sklearn_koopman.datasets import make_pendulum
+from sklearn_koopman.plotting import SpectrumDisplay
 
 STEP = 0.1  # seconds
 
@@ -87,26 +87,7 @@ def plot(model, pendulum, first, truth, figure):
     fig, (circle, decay, orbit) = plt.subplots(
         1, 3, figsize=(13.5, 4.2), layout="constrained", width_ratios=[1.15, 1, 1.2]
     )
-    norm = LogNorm(model.residuals_.min(), 1.0)
-    angle = np.linspace(0, 2 * np.pi, 400)
-    circle.plot(np.cos(angle), np.sin(angle), color="0.8", lw=1, zorder=0)
-    dots = circle.scatter(
-        model.eigenvalues_.real[::-1],
-        model.eigenvalues_.imag[::-1],
-        c=model.residuals_[::-1],
-        norm=norm,
-        cmap="viridis_r",
-        s=28,
-        edgecolors="0.3",
-        linewidths=0.4,
-    )
-    fig.colorbar(dots, ax=circle, label="residual", shrink=0.9)
-    circle.set(
-        xlabel="real part of the eigenvalue",
-        ylabel="imaginary part of the eigenvalue",
-        title=f"{model.rank_} eigenvalues",
-        aspect="equal",
-    )
+    SpectrumDisplay.from_estimator(model, ax=circle)
 
     frequencies = model.continuous_eigenvalues(STEP)[1]
     upper = frequencies >= 0

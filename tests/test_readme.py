@@ -28,6 +28,14 @@ def test_the_main_job_runs_as_printed():
     a_second_later = pairs.y[np.arange(5)[:, np.newaxis] + 15 * np.arange(10)]
     assert np.abs(names["second"] - a_second_later).max() < 0.3 * persistence
     assert -names["error"] < 0.2 * persistence
+    smooth, later = names["smooth"], names["later"]
+    error = np.abs(smooth.predict(later.X) - later.y)
+    assert (error <= names["bound"]).all()
+    assert names["bound"].max() < 0.02
+    assert round(names["dimension"], 2) == 1.04
+    assert round(names["standard_error"], 2) == 0.04
+    assert round(names["study"].slope, 1) == 5.7
+    assert names["study"].guaranteed_slope == 2.5
 
 
 def test_files_that_it_points_to_exist():
