@@ -382,6 +382,9 @@ def crowding_study(
         separation_distance, smallest_eigenvalue, condition_number : ndarray of shape \
 (n_separations, n_gaps)
             With the additional centre.
+        slope : ndarray of shape (n_separations,)
+            Slopes of the logarithm of the smallest eigenvalue over that of the
+            separation distance, where the additional centre decides on it.
 
     Raises
     ------
@@ -413,8 +416,8 @@ def crowding_study(
     ... )
     >>> study.n_centers
     array([19, 37])
-    >>> (study.smallest_eigenvalue[:, 0] / study.smallest_eigenvalue[:, 1]).round(1)
-    array([2., 2.])
+    >>> study.slope.round(1)  # the kernel has a cusp
+    array([1., 1.])
     """
     X = check_array(X, dtype=np.float64, input_name="X", ensure_min_samples=2)
     separations, gaps = (
@@ -437,6 +440,11 @@ def crowding_study(
             crowded = np.vstack([centers, X[0] + gap * direction])
             q[i, j] = separation_distance(crowded)
             smallest[i, j], largest[i, j] = extreme_eigenvalues(kernel, crowded, beta)
+    decisive = (smallest > 0) & np.isclose(q, gaps / 2, rtol=1e-6, atol=0)
+    slope = [
+        _slope(q_i[use], smallest_i[use], 0.95)[0]
+        for q_i, smallest_i, use in zip(q, smallest, decisive, strict=True)
+    ]
     return Bunch(
         kernel=repr(as_kernel(kernel, beta, X.shape[1])),
         separation=separations,
@@ -446,6 +454,7 @@ def crowding_study(
         separation_distance=q,
         smallest_eigenvalue=smallest,
         condition_number=_ratio(largest, smallest),
+        slope=np.array(slope),
     )
 
 

@@ -84,6 +84,8 @@ class SurfaceDisplay:
         The true function.
     samples_, centers_, interpolated_ : matplotlib Line3D or None
         The samples; the centres in the plane of states; and these on the estimate.
+    handles_ : list of matplotlib artists
+        The entries of the legend, for one that several displays share.
     ax_ : matplotlib Axes3D
         The axes.
     figure_ : matplotlib Figure
@@ -161,6 +163,7 @@ class SurfaceDisplay:
         sample_kw: Mapping[str, Any] | None = None,
         center_kw: Mapping[str, Any] | None = None,
         interpolated_kw: Mapping[str, Any] | None = None,
+        legend: bool = True,
     ) -> SurfaceDisplay:
         """Plot the estimate of a fitted model of two state variables.
 
@@ -198,6 +201,8 @@ class SurfaceDisplay:
         sample_kw, center_kw, interpolated_kw : dict, default=None
             Keyword arguments for the lines of samples, centres and centres on the
             estimate.
+        legend : bool, default=True
+            Whether to draw a legend.
 
         Returns
         -------
@@ -262,6 +267,7 @@ class SurfaceDisplay:
             sample_kw=sample_kw,
             center_kw=center_kw,
             interpolated_kw=interpolated_kw,
+            legend=legend,
         )
 
     def plot(
@@ -273,6 +279,7 @@ class SurfaceDisplay:
         sample_kw: Mapping[str, Any] | None = None,
         center_kw: Mapping[str, Any] | None = None,
         interpolated_kw: Mapping[str, Any] | None = None,
+        legend: bool = True,
     ) -> SurfaceDisplay:
         """Draw the surfaces, and what they come from.
 
@@ -285,6 +292,8 @@ class SurfaceDisplay:
         sample_kw, center_kw, interpolated_kw : dict, default=None
             Keyword arguments for the lines of samples, centres and centres on the
             estimate.
+        legend : bool, default=True
+            Whether to draw a legend.
 
         Returns
         -------
@@ -351,7 +360,9 @@ class SurfaceDisplay:
         output = "output" if self.output_name is None else self.output_name
         ax.set(xlabel=names[0], ylabel=names[1], zlabel=output, zlim=(low, high))
         ax.locator_params(nbins=5)
-        ax.legend(handles=handles, loc="upper left", fontsize="small")
+        self.handles_ = handles
+        if legend:
+            ax.legend(handles=handles, loc="upper left", fontsize="small")
         self.ax_ = ax
         self.figure_ = ax.figure
         return self
