@@ -22,6 +22,8 @@ Indices = NDArray[np.intp]
 
 # Rows whose neighbours are sought at a time.
 BATCH = 2**16
+# The distances to this neighbour and that of twice its order tell the dimension.
+NEIGHBOR = 4
 
 
 def fill_distance(
@@ -303,7 +305,7 @@ def intrinsic_dimension(
     """
     X = _checked(X, "X")
     X = X[distinct_rows(X)[0]]
-    smallest = 2 * (2 * _N + 1)
+    smallest = 2 * (2 * NEIGHBOR + 1)
     if len(X) < 2 * smallest:
         raise ValueError(
             f"X has {len(X)} distinct rows; the intrinsic dimension needs at least "
@@ -324,21 +326,18 @@ def intrinsic_dimension(
     return dimension, float(np.hypot(dimension / np.sqrt(n_used), dimension - coarser))
 
 
-_N = 4
-
-
 def _ratio_dimension(X: Array, order: Indices, n_points: int) -> tuple[float, int]:
     """Estimate the dimension from disjoint subsets of so many points."""
     logs = []
     for first in range(0, min(4 * n_points, len(X) - n_points + 1), n_points):
         points = X[order[first : first + n_points]]
-        near, _ = _nearest(KDTree(points), points, [_N + 1, 2 * _N + 1])
+        near, _ = _nearest(KDTree(points), points, [NEIGHBOR + 1, 2 * NEIGHBOR + 1])
         logs.append(np.log(near[:, 1] / near[:, 0]))
     ratios = np.concatenate(logs)
     mean = float(ratios.mean())
     if mean == 0:
         return np.inf, len(ratios)
-    return float(digamma(2 * _N) - digamma(_N)) / mean, len(ratios)
+    return float(digamma(2 * NEIGHBOR) - digamma(NEIGHBOR)) / mean, len(ratios)
 
 
 def _return_distances(X: Array, n_rows: int = 100) -> Array:

@@ -142,10 +142,13 @@ rms_error, condition_number : ndarray of shape (n_separations,)
     X_test, y_test = check_X_y(
         X_test, y_test, multi_output=True, y_numeric=True, dtype=np.float64
     )
+    if X_test.shape[1:] != X.shape[1:] or y_test.shape[1:] != y.shape[1:]:
+        raise ValueError(
+            f"X_test and y_test have the shapes {X_test.shape} and {y_test.shape}, "
+            f"which do not fit those of X and y, {X.shape} and {y.shape}."
+        )
     separations = check_positive(separations, "separations")
-    check_number(confidence, "confidence", positive=True)
-    if confidence >= 1:
-        raise ValueError(f"confidence must be below 1, got {confidence}.")
+    _check_confidence(confidence)
     parameter = _separation_parameter(estimator)
     lines: list[dict[str, Any]] = []
     previous: Any = None
@@ -154,7 +157,12 @@ rms_error, condition_number : ndarray of shape (n_separations,)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             model.fit(X, y)
-        dropped = any(issubclass(w.category, LinAlgWarning) for w in caught)
+        dropped = False
+        for warning in caught:
+            if issubclass(warning.category, LinAlgWarning):
+                dropped = True
+            else:
+                warnings.warn(warning.message, warning.category, stacklevel=2)
         before, final = _split(model)
         if not hasattr(final, "centers_"):
             raise ValueError(
@@ -289,11 +297,10 @@ def conditioning_study(
     True
     """
     X = check_array(X, dtype=np.float64, input_name="X")
-    betas, separations = (
-        check_positive(betas, "betas"),
-        check_positive(separations, "separations"),
-    )
+    betas = check_positive(betas, "betas")
+    separations = check_positive(separations, "separations")
     kernels = [kernels] if isinstance(kernels, str) else list(kernels)
+    _check_confidence(confidence)
     if not kernels:
         raise ValueError("kernels is empty; give a name or a kernel at least.")
     if dimension is None:
@@ -456,6 +463,12 @@ def crowding_study(
         condition_number=_ratio(largest, smallest),
         slope=np.array(slope),
     )
+
+
+def _check_confidence(confidence: Any) -> None:
+    check_number(confidence, "confidence", positive=True)
+    if confidence >= 1:
+        raise ValueError(f"confidence must be below 1, got {confidence!r}.")
 
 
 def _ratio(largest: Array, smallest: Array) -> Array:
