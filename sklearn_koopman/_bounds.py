@@ -6,14 +6,37 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dtrtri
+from sklearn.utils import gen_batches
 
-from sklearn_koopman._solvers import NativeBasis, Sections, Tail, interpolation
+from sklearn_koopman import _solvers
+from sklearn_koopman._solvers import KernelSections, NativeBasis, Sections, Tail
 from sklearn_koopman.centers import farthest_centers
 
 Array = NDArray[np.float64]
 
 # What rounding leaves undecided of the squared power function, over that of the kernel.
 ROUNDING = 1e-13
+# Centres of which the others determine less than this part lie apart from them.
+APART = 0.1
+
+
+def variance(basis: NativeBasis, X: Array, n_jobs: int | None = None) -> Array:
+    """Evaluate the squared power function, without the noise term of a kernel."""
+    power = _solvers.power(basis, X, n_jobs)
+    noise = basis.sections.diagonal(X) - smooth_diagonal(basis.sections, X)
+    return np.asarray(np.maximum(power**2 - noise, 0.0))
+
+
+def smooth_diagonal(sections: Sections, X: Array) -> Array:
+    """Evaluate k(x, x) as for two states that are equal by chance."""
+    if not isinstance(sections, KernelSections):
+        origin = np.zeros((1, 1))
+        return np.repeat(sections.kernel(origin, origin)[0], len(X))  # type: ignore[attr-defined]
+    parts = [
+        np.diagonal(sections.kernel(X[rows], X[rows]))
+        for rows in gen_batches(len(X), 64)
+    ]
+    return np.concatenate(parts)
 
 
 def left_out_precision(basis: NativeBasis) -> Array:
@@ -24,21 +47,40 @@ def left_out_precision(basis: NativeBasis) -> Array:
     the i-th entry, and the squared power function of the other centres is there one
     over the i-th entry (Rippa 1999). NaN where they determine no interpolant.
     """
-    inverse, _ = dtrtri(np.tril(basis.lower), lower=1)
+    inverse, _ = dtrtri(basis.lower, lower=1)
+    for column in range(1, len(inverse)):
+        inverse[:column, column] = 0.0  # has no meaning, as in the factor
     diagonal = np.einsum("ij,ij->j", inverse, inverse)
     along = dgemm(1.0, basis.Q, inverse, trans_a=1)
     left = diagonal - np.einsum("ij,ij->j", along, along)
     return np.where(left > 1e-10 * diagonal, left, np.nan)
 
 
-def reach(basis: NativeBasis) -> float:
-    """Return the power function at the centre that the others determine the least.
+def reach(basis: NativeBasis, centers: Array) -> float:
+    """Return the largest power function at a centre that is left out of the others.
 
     On the manifold, states are nearer to the centres than these are to each other:
-    where the power function is larger, a state is off it.
+    where the power function is larger, a state is off it. Centres that lie apart from
+    all others tell nothing of that; infinite if all of them do.
     """
-    variance = 1 / left_out_precision(basis) - basis.excess
-    return float(np.sqrt(np.nanmax(variance, initial=0.0))) or np.inf
+    squared = 1 / left_out_precision(basis) - basis.excess
+    limit = (1 - APART) * smooth_diagonal(basis.sections, centers)
+    return (
+        float(np.sqrt(max(squared[squared <= limit].max(initial=0.0), 0.0))) or np.inf
+    )
+
+
+def beyond_centers(X: Array, centers: Array) -> NDArray[np.bool_]:
+    """Tell which states are in directions that no two of the centres differ in.
+
+    There a linear trend is arbitrary.
+    """
+    origin = centers.mean(axis=0)
+    _, singular, directions = np.linalg.svd(centers - origin, full_matrices=False)
+    seen = directions[singular > 1e-10 * max(singular[0], np.abs(origin).max())]
+    X = X - origin
+    left = np.abs(X - X @ seen.T @ seen).max(axis=1)
+    return np.asarray(left > 1e-9 * (np.abs(X).max(axis=1) + np.abs(origin).max()))
 
 
 def native_norm(
@@ -61,5 +103,6 @@ def native_norm(
         degree = 0 if len(tail.seen) == 1 else 1
         tail = Tail.on(centers[half], degree, centers)
     basis = NativeBasis.of(sections.take(half), centers[half], nugget[half], tail)
-    coarse = interpolation(centers, values)(basis, half).seminorm
-    return np.asarray(np.sqrt(2 * seminorm**2 - np.minimum(coarse, seminorm) ** 2))
+    coarse = _solvers.interpolation(centers, values)(basis, half).seminorm
+    part = np.divide(coarse, seminorm, out=np.ones_like(seminorm), where=seminorm > 0)
+    return np.asarray(seminorm * np.sqrt(2 - np.minimum(part, 1.0) ** 2))

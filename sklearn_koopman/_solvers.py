@@ -35,6 +35,8 @@ Indices = NDArray[np.intp]
 TILE = 2**14
 # Below this reciprocal condition number a solution is verified before it is used.
 SUSPECT = 1e-10
+# Below this one the factorisation succeeded by chance, and its last rows mean nothing.
+SINGULAR = 1e-17
 # Largest error, relative to the values to be met, that passes the verification. Large
 # coefficients of alternating sign cost smooth kernels this much without harm, while
 # leaving out more centres would cost them more.
@@ -166,6 +168,8 @@ class NativeBasis:
         if info != 0:
             raise np.linalg.LinAlgError("the Gram matrix is not positive definite")
         rcond = float(dpocon(lower, norm, uplo="L")[0])
+        if rcond < SINGULAR:
+            raise np.linalg.LinAlgError("the Gram matrix is numerically singular")
         P = np.empty((len(points), 0))
         if tail is not None:
             P = polynomial(points, tail.origin, tail.seen)

@@ -411,27 +411,35 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             second half of the centres. The estimate is too small for functions that
             are not in the native space (take a rougher kernel), that have detail
             which falls between the centres, or with too few centres to see the norm
-            settle; the bound fails with it. For smooth outputs it is far too large,
-            since their error falls up to twice as fast as the power function.
+            settle; the bound fails with it. For smooth outputs it is far too large:
+            their error falls with a higher order than the power function.
 
         Returns
         -------
         bound : ndarray of shape (n_samples,) or (n_samples, n_outputs)
             The bound, in the unit of the outputs. It includes the rounding error of
-            the squared power function, some 1e-14 of the kernel.
+            the squared power function, 1e-13 of the kernel. Infinite where a linear
+            trend goes in directions that the centres do not tell.
 
         Raises
         ------
         ValueError
             If the estimate is one of least squares, which has no such bound; if
-            `norm` is no positive number for each output; if it is left out where the
-            centres are not known.
+            `norm` is no finite number for each output, 0 or above; if it is left out
+            where the centres are not known, or too few for an estimate.
 
         Warns
         -----
         UserWarning
             If states are off the manifold: where the power function is larger than at
-            any centre that is left out of the others.
+            any centre that is left out of the others (centres that lie apart do not
+            count), or where no centre is near enough to tell anything.
+
+        Notes
+        -----
+        A pipeline passes this on as ``pipeline[-1].error_bound(
+        pipeline[:-1].transform(X))``. The first call takes the time and the memory of
+        another factorisation.
         """
         check_is_fitted(self)
         if not self._interpolates:
@@ -443,23 +451,16 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             )
         X = self._validated(X)
         basis = self._native_basis()
-        bounds = self._check_norm(norm)
-        power = _solvers.power(basis, X, self.n_jobs)
-        if not hasattr(self, "_reach"):
-            self._reach = _bounds.reach(basis)
-        off = power > self._reach * (1 + 1e-6)
-        if off.any():
-            warnings.warn(
-                f"{off.sum()} of {len(X)} states are off the manifold of the centres: "
-                f"the power function is up to {power.max():.2g} there, but at most "
-                f"{self._reach:.2g} at a centre that is left out of the others. "
-                "Predictions are extrapolation there; learn from samples that cover "
-                "such states, or leave them out.",
-                UserWarning,
-                stacklevel=2,
-            )
-        rounding = _bounds.ROUNDING * basis.sections.diagonal(X)
-        bound = np.outer(np.hypot(power, np.sqrt(rounding)), bounds)
+        norms = self._native_norms(norm)
+        diagonal = _bounds.smooth_diagonal(basis.sections, X)
+        variance = _bounds.variance(basis, X, self.n_jobs)
+        if self.trend == "linear":
+            variance[_bounds.beyond_centers(X, self.centers_)] = np.inf
+        self._warn_off_manifold(basis, variance, diagonal)
+        power = np.sqrt(variance + _bounds.ROUNDING * diagonal)
+        with np.errstate(invalid="ignore"):
+            bound = np.outer(power, norms)
+        bound[np.isinf(power)] = np.inf
         return bound.reshape((len(X), *self.dual_coef_.shape[1:]))
 
     def __getstate__(self) -> dict[str, Any]:
@@ -549,39 +550,63 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             check_distances(X)
         return X
 
-    def _check_norm(self, norm: Any) -> Array:
+    def _native_norms(self, norm: Any) -> Array:
         """Return the native norm of each output: as given, or estimated."""
         n_outputs = int(np.prod(self.dual_coef_.shape[1:]))
         if norm is not None:
-            norms = np.asarray(norm, dtype=np.float64)
+            norms = np.atleast_1d(np.asarray(norm, dtype=object))
             if norms.ndim > 1 or norms.size not in (1, n_outputs):
                 raise ValueError(
                     f"norm must be a number, or one for each of {n_outputs} outputs, "
                     f"got an array of shape {norms.shape}."
                 )
-            for value in norms.ravel():
-                check_number(float(value), "norm")
-            return np.broadcast_to(norms.ravel(), n_outputs)
+            for value in norms:
+                check_number(value, "norm")
+            return np.broadcast_to(norms.astype(np.float64), n_outputs)
         if not hasattr(self, "_norm"):
-            if not hasattr(self, "centers_"):
-                raise ValueError(
-                    "With centers='precomputed' the centres are not known, and the "
-                    "native norm is not estimated; give norm, or fit on the states "
-                    "with centers=SeparatedCenterSelector()."
-                )
             basis = self._native_basis()
+            degrees = len(self.dual_coef_) - basis.Q.shape[1]
+            if not hasattr(self, "centers_") or degrees < 1:
+                raise ValueError(
+                    "The native norm cannot be estimated from distances to the centres "
+                    f"(centers='precomputed'), nor from {len(self.dual_coef_)} of them "
+                    f"with trend={self.trend!r}, which alone meets so few; give norm, "
+                    "or fit on the states, with more centres."
+                )
             dual = self.dual_coef_.reshape(-1, n_outputs)
-            values = self._evaluate(self.centers_) + basis.excess[:, np.newaxis] * dual
-            degrees = max(len(dual) - basis.Q.shape[1], 1)
             self._norm = _bounds.native_norm(
                 self._sections,
                 self.centers_,
                 self._nugget,
                 self._tail,
-                values,
+                self._evaluate(self.centers_) + basis.excess[:, np.newaxis] * dual,
                 np.ravel(self.amplitude_) * np.sqrt(degrees),
             )
         return self._norm
+
+    def _warn_off_manifold(
+        self, basis: _solvers.NativeBasis, variance: Array, diagonal: Array
+    ) -> None:
+        if not hasattr(self, "_reach"):
+            points = getattr(self, "centers_", np.zeros((len(basis.lower), 1)))
+            self._reach = _bounds.reach(basis, points)
+        off = np.sqrt(variance) > self._reach * (1 + 1e-6)
+        if self.trend is None:
+            off |= variance > (1 - 1e-6) * diagonal
+        if off.any():
+            limit = (
+                f"at most {self._reach:.2g} at a centre that is left out of the others"
+                if np.isfinite(self._reach)
+                else "no centre tells anything of the others, either: raise beta"
+            )
+            warnings.warn(
+                f"{off.sum()} of {len(off)} states are off the manifold of the "
+                f"centres: the power function is up to {np.sqrt(variance.max()):.2g} "
+                f"there ({limit}). Predictions are extrapolation there; learn from "
+                "samples that cover such states, or leave them out.",
+                UserWarning,
+                stacklevel=3,
+            )
 
     def _native_basis(self) -> _solvers.NativeBasis:
         if not hasattr(self, "_basis"):

@@ -2,6 +2,7 @@
 
 import pickle
 import re
+import warnings
 from decimal import Decimal, localcontext
 
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import LinAlgWarning, null_space
 from scipy.spatial.distance import cdist
-from sklearn.gaussian_process.kernels import RBF, Matern
+from sklearn.base import clone
+from sklearn.gaussian_process.kernels import RBF, Matern, WhiteKernel
 
 from sklearn_koopman import KoopmanKernelRegressor, SeparatedCenterSelector
 from sklearn_koopman.datasets import make_pendulum
@@ -503,3 +505,91 @@ def test_states_that_are_none_are_refused(scattered):
         model.error_bound([[np.nan, 0.0]])
     with pytest.raises(ValueError, match="1 features, but"):
         model.error_bound([[0.0]])
+
+
+def test_bound_holds_where_a_factorisation_succeeds_by_chance():
+    """At a reciprocal condition number of 1e-19 the last rows of a factor are noise."""
+    kernel = KERNELS["gaussian"](beta=0.1)
+    X = np.linspace(-1, 1, 60)[:, np.newaxis]
+    X_new = np.linspace(-1.5, 1.5, 1001)[:, np.newaxis]
+    rng = np.random.default_rng(0)
+    Z, c = rng.uniform(-1.5, 1.5, (10, 1)), rng.standard_normal(10)
+    norm = np.sqrt(c @ kernel(Z) @ c)
+    with pytest.warns(LinAlgWarning, match="numerically singular"):
+        model = KoopmanKernelRegressor(kernel).fit(X, kernel(X, Z) @ c)
+    assert model.rcond_ > 1e-17
+    error = np.abs(model.predict(X_new) - kernel(X_new, Z) @ c)
+    with pytest.warns(UserWarning, match="off the manifold"):
+        assert (error <= model.error_bound(X_new, norm)).all()
+    assert error.max() > 1e-3
+
+
+def test_noise_of_a_kernel_is_no_distance_from_the_manifold():
+    """A noise term means the same as alpha: it bounds nothing, and warns of nothing."""
+    pendulum = make_pendulum(600)
+    train, rest = pendulum.X[::2], pendulum.X[1::2]
+    centers = SeparatedCenterSelector(0.05)
+    noisy = KoopmanKernelRegressor(
+        Matern(1.0, nu=1.5) + WhiteKernel(0.01), centers=centers
+    ).fit(train, pendulum.y[::2])
+    ridge = KoopmanKernelRegressor(
+        Matern(1.0, nu=1.5), alpha=0.01, centers=centers
+    ).fit(train, pendulum.y[::2])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert_allclose(
+            noisy.error_bound(rest, 1.0), ridge.error_bound(rest, 1.0), rtol=1e-6
+        )
+
+
+def test_a_trend_that_no_centre_tells_has_no_bound():
+    X = np.column_stack([np.linspace(0, 1, 20), np.zeros(20)])
+    model = KoopmanKernelRegressor(beta=1.0, trend="linear").fit(X, np.sin(3 * X[:, 0]))
+    with pytest.warns(UserWarning, match="1 of 2 states are off the manifold"):
+        bound = model.error_bound([[0.5, 0.2], [0.52, 0.0]], norm=1.0)
+    assert bound[0] == np.inf
+    assert 0 < bound[1] < 0.1
+
+
+def test_norm_is_not_estimated_from_centres_that_a_trend_meets():
+    model = KoopmanKernelRegressor(trend="linear").fit([[0.0, 1.0], [1.0, 0.0]], [0, 1])
+    with pytest.raises(ValueError, match=r"cannot be estimated from .* nor from 2"):
+        model.error_bound([[0.5, 0.5]])
+    assert np.isfinite(model.error_bound([[0.5, 0.5]], norm=1.0)).all()
+
+
+def test_a_centre_apart_does_not_silence_the_warning():
+    pendulum = make_pendulum(256)
+    X, y = np.vstack([pendulum.X, [[50.0, 50.0]]]), np.append(pendulum.y, 1.0)
+    model = KoopmanKernelRegressor(beta=1.0, centers=SeparatedCenterSelector(0.23))
+    model.fit(X, y)
+    with pytest.warns(UserWarning, match="1 of 1 states are off"):
+        model.error_bound([[-10.0, -10.0]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        model.error_bound(X)
+
+
+def test_states_that_no_centre_reaches_are_off_the_manifold():
+    pendulum = make_pendulum(256)
+    model = KoopmanKernelRegressor(
+        "wendland_c2", beta=0.2, centers=SeparatedCenterSelector(0.23)
+    ).fit(pendulum.X, pendulum.y)
+    with pytest.warns(UserWarning, match="2 of 3 states .* raise beta"):
+        model.error_bound([[-1e6, 0.0], model.centers_[0], [9.0, 9.0]])
+
+
+@pytest.mark.parametrize("unit", [1e-200, 1e200])
+def test_norms_are_estimated_in_any_unit(unit):
+    pendulum = make_pendulum(100)
+    model = KoopmanKernelRegressor(centers=SeparatedCenterSelector(0.3))
+    bound = clone(model).fit(pendulum.X, pendulum.y).error_bound(pendulum.X)
+    scaled = clone(model).fit(pendulum.X, unit * pendulum.y).error_bound(pendulum.X)
+    assert_allclose(scaled / unit, bound, rtol=1e-12)
+
+
+@pytest.mark.parametrize("norm", ["auto", True, -1.0, np.nan, [1.0, "b"]])
+def test_norms_that_are_no_numbers(norm):
+    model = KoopmanKernelRegressor().fit([[0.0], [1.0]], [[0.0, 1.0], [1.0, 0.0]])
+    with pytest.raises(ValueError, match="norm must be"):
+        model.error_bound([[0.5]], norm)

@@ -10,6 +10,7 @@ from scipy.spatial.distance import cdist, pdist
 from scipy.stats import norm as normal
 from scipy.stats import t as student
 from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.compose import make_column_transformer
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import (
     RBF,
@@ -22,11 +23,15 @@ from sklearn.gaussian_process.kernels import (
     WhiteKernel,
 )
 from sklearn.linear_model import LinearRegression
-from sklearn.model_selection import GroupKFold, KFold
+from sklearn.model_selection import GridSearchCV, GroupKFold, KFold
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from sklearn_koopman import KoopmanKernelRegressor, SeparatedCenterSelector
+from sklearn_koopman import (
+    KoopmanKernelRegressor,
+    SeparatedCenterSelector,
+    TrajectoryKFold,
+)
 from sklearn_koopman.datasets import make_pendulum
 from sklearn_koopman.diagnostics import (
     _conditioning,
@@ -526,10 +531,10 @@ def test_lanczos_agrees_with_the_dense_eigenvalues(monkeypatch, kernel, beta, al
     monkeypatch.setattr(_conditioning, "DENSE", 20)
     options = {"beta": beta, "alpha": alpha}
     assert smallest_eigenvalue(kernel, X, **options) == pytest.approx(
-        values[0], rel=1e-6
+        values[0], rel=2e-3
     )
     assert condition_number(kernel, X, **options) == pytest.approx(
-        values[-1] / values[0], rel=1e-6
+        values[-1] / values[0], rel=2e-3
     )
     assert condition_number(kernel, X, **options) == condition_number(
         kernel, X, **options
@@ -546,11 +551,37 @@ def test_singular_matrices_have_no_eigenvalue_but_zero(monkeypatch, dense):
         ("gaussian", grid),
         (DotProduct(1.0), grid),
         (ConstantKernel(2.0), grid),
-        (ExpSineSquared(), np.random.default_rng(0).standard_normal((40, 3))),
     ):
         assert smallest_eigenvalue(kernel, points) == 0
         assert condition_number(kernel, points) == np.inf
     assert smallest_eigenvalue("matern12", twice, alpha=0.1) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("dense", [20, 1500])
+def test_kernels_that_are_not_positive_definite_show(monkeypatch, dense):
+    monkeypatch.setattr(_conditioning, "DENSE", dense)
+    X = np.random.default_rng(0).standard_normal((40, 3))  # of period in one dimension
+    kernel = ExpSineSquared()
+    least = np.linalg.eigvalsh(kernel(X))[0]
+    assert least < -1
+    assert smallest_eigenvalue(kernel, X) == pytest.approx(least, rel=1e-10)
+    assert condition_number(kernel, X) == np.inf
+
+
+@pytest.mark.parametrize(
+    ("kernel", "n", "d", "beta", "alpha"),
+    [("wendland_c2", 400, 1, 0.016, 0.0), ("gaussian", 400, 2, 0.3, 1e-3)],
+)
+def test_clustered_eigenvalues_are_found(monkeypatch, kernel, n, d, beta, alpha):
+    """Flat spectra, and many eigenvalues at alpha: Lanczos vectors hardly converge."""
+    X = np.random.default_rng(0).uniform(-1, 1, (n, d))
+    X = np.linspace(0, 1, n).reshape(-1, 1) if d == 1 else X
+    values = np.linalg.eigvalsh(KERNELS[kernel](beta=beta)(X) + alpha * np.eye(n))
+    monkeypatch.setattr(_conditioning, "DENSE", 20)
+    least = smallest_eigenvalue(kernel, X, beta=beta, alpha=alpha)
+    assert least == pytest.approx(values[0], rel=2e-3)
+    condition = condition_number(kernel, X, beta=beta, alpha=alpha)
+    assert condition == pytest.approx(values[-1] / values[0], rel=2e-3)
 
 
 def test_digits_are_logarithms_of_condition_numbers():
@@ -653,10 +684,13 @@ def test_orders_of_composed_kernels_are_those_of_their_roughest_part():
         assert sobolev_rates(kernel, 2, 1).tau == tau
 
 
-def test_rates_refuse_what_has_none():
+def test_rates_are_not_invented():
     for kernel in (DotProduct(), ExpSineSquared(), RBF() + DotProduct()):
-        with pytest.raises(ValueError, match=r"Sobolev order .* give the order tau"):
-            sobolev_rates(kernel, 2, 1)
+        rates = sobolev_rates(kernel, 2, 1)
+        assert not rates.applies
+        assert np.isnan([rates.tau, rates.s, rates.sup_exponent]).all()
+        assert np.isnan([rates.rms_exponent, rates.condition_exponent]).all()
+        assert "give the order tau" in rates.statement
     with pytest.raises(ValueError, match="dimension=3 is more than n_features=2"):
         sobolev_rates("matern32", 2, 3)
     for dimension in (0, -1, np.nan, "one"):
@@ -886,7 +920,7 @@ def test_convergence_study_refuses_bad_input(orbit, later):
     behind = make_pipeline(
         SeparatedCenterSelector(), KoopmanKernelRegressor(centers="precomputed")
     )
-    with pytest.raises(ValueError, match="the centres are not known"):
+    with pytest.raises(ValueError, match="fitted to states and not to distances"):
         study(behind, orbit, later, [0.4])
     model = KoopmanKernelRegressor()
     for separations in ([0.1, -0.2], [0.0], [np.nan], [[0.1, 0.2]], []):
@@ -898,11 +932,13 @@ def test_convergence_study_refuses_bad_input(orbit, later):
     with pytest.raises(ValueError, match="dimension=3 is more than n_features=2"):
         study(model, orbit, later, [0.4, 0.2], dimension=3)
     # A column and a plain array would be broadcast against each other.
-    for X_test, y_test in (
-        (later.X, later.y[:, np.newaxis]),
-        (later.X[:, :1], later.y),
+    for X_test, y_test, message in (
+        (later.X, later.y[:, np.newaxis], "y_test has the shape"),
+        (later.X, np.column_stack([later.y, later.y]), "y_test has the shape"),
+        (later.X, later.y[1:], "inconsistent numbers of samples"),
+        (later.X[:, :1], later.y, "X has 1 features"),
     ):
-        with pytest.raises(ValueError, match="X_test and y_test have the shapes"):
+        with pytest.raises(ValueError, match=message):
             convergence_study(model, orbit.X, orbit.y, [0.4], X_test, y_test)
 
 
@@ -1173,3 +1209,147 @@ def test_calibration_refuses_bad_input():
             calibration_study(Stated(), data.X, data.y, levels=levels)
     with pytest.raises(ValueError, match="inconsistent numbers of samples"):
         calibration_study(Stated(), data.X, data.y[:9])
+
+
+# --- What users bring ----------------------------------------------------------------
+
+
+def winding(n_samples, step):
+    """Wind around a torus."""
+    angles = step * np.arange(n_samples)[:, np.newaxis] * [1, np.sqrt(2)]
+    return np.hstack([np.cos(angles), np.sin(angles)])
+
+
+@pytest.mark.parametrize("function", [fill_distance, separation_distance, mesh_ratio])
+def test_paths_that_follow_a_trajectory_are_pointed_out(function):
+    X = winding(5000, 0.015)
+    with pytest.warns(UserWarning, match="paths follow the trajectory") as caught:
+        function(X[::400], X, metric="geodesic")
+    assert caught[0].filename == __file__  # the line of the user
+
+
+def test_data_frames_reach_the_columns_that_a_pipeline_names(orbit, later):
+    names = ["momentum", "position"]
+    frame, frame_later = (
+        pd.DataFrame(data.X, columns=names) for data in (orbit, later)
+    )
+    scaler = make_column_transformer((StandardScaler(), names))
+    model = make_pipeline(scaler, KoopmanKernelRegressor(beta=2.0))
+    separations = [0.5, 0.3, 0.2]
+    named = convergence_study(
+        model, frame, orbit.y, separations, frame_later, later.y, dimension=1
+    )
+    plain = convergence_study(
+        make_pipeline(StandardScaler(), KoopmanKernelRegressor(beta=2.0)),
+        *(orbit.X, orbit.y, separations, later.X, later.y),
+        dimension=1,
+    )
+    assert_allclose(named.sup_error, plain.sup_error, rtol=0, atol=1e-14)
+    assert_allclose(named.fill_distance, plain.fill_distance, rtol=1e-12)
+    held_out = [
+        calibration_study(clone(m), x[::10], orbit.y[::10])
+        for m, x in ((model, frame), (model, frame.astype(object)))
+    ]
+    assert held_out[0].ratio == pytest.approx(held_out[1].ratio)
+
+
+def test_calibration_of_a_search_and_of_columns():
+    data = make_pendulum(
+        40, initial="random", n_trajectories=6, noise=0.01, random_state=0
+    )
+    model = KoopmanKernelRegressor(beta=3.0, alpha=1e-3)
+    search = GridSearchCV(model, {"alpha": [1e-3]}, cv=2)
+    direct = calibration_study(model, data.X, data.y, groups=data.groups)
+    searched = calibration_study(search, data.X, data.y, groups=data.groups)
+    assert searched.ratio == pytest.approx(direct.ratio)
+    # Gaussian processes return plain arrays for a column of outputs.
+    process = GaussianProcessRegressor(RBF(2.0), alpha=1e-4, optimizer=None)
+    flat = calibration_study(process, data.X, data.y, groups=data.groups)
+    column = data.y[:, np.newaxis]
+    assert calibration_study(
+        process, data.X, column, groups=data.groups
+    ).ratio == pytest.approx(flat.ratio)
+
+
+def test_numbers_of_folds_keep_trajectories_whole():
+    data = make_pendulum(30, initial="random", n_trajectories=6, random_state=0)
+    model = KoopmanKernelRegressor(beta=3.0, alpha=1e-3)
+    by_number = calibration_study(model, data.X, data.y, groups=data.groups, cv=3)
+    by_splitter = calibration_study(
+        model, data.X, data.y, groups=data.groups, cv=TrajectoryKFold(3)
+    )
+    assert_array_equal(by_number.fold_ratio, by_splitter.fold_ratio)
+    with pytest.raises(ValueError, match="leaves nothing to learn from"):
+        calibration_study(model, data.X, data.y, groups=np.zeros(180))
+    with pytest.raises(ValueError, match="has no return_std"):
+        calibration_study(LinearRegression(), data.X, data.y)
+
+
+def test_condition_number_is_that_of_the_matrix_solved_with(orbit, later):
+    model = KoopmanKernelRegressor("gaussian", beta=4.0, alpha=1e-3)
+    found = convergence_study(
+        model, orbit.X, orbit.y, [0.3, 0.1], later.X, later.y, dimension=1
+    )
+    centers = orbit.X[SeparatedCenterSelector(0.1).fit(orbit.X).center_indices_]
+    K = KERNELS["gaussian"](beta=4.0)(centers) + 1e-3 * np.eye(len(centers))
+    assert found.condition_number[1] == pytest.approx(np.linalg.cond(K), rel=1e-6)
+    assert np.isnan(found.guaranteed_slope)
+
+
+def test_kernels_of_unknown_order_are_measured(orbit, later):
+    rough = KoopmanKernelRegressor(Matern(2.0, nu=1.5) + WhiteKernel(1e-12))
+    found = convergence_study(
+        rough, orbit.X, orbit.y, [0.4, 0.3, 0.2, 0.1], later.X, later.y, dimension=1
+    )
+    assert 3 < found.slope < 5
+    assert found.rates.s == 2  # noise does not count
+    assert np.isnan(found.guaranteed_slope)
+    odd = KoopmanKernelRegressor(RBF(2.0) + DotProduct(), alpha=1e-6)
+    found = convergence_study(
+        odd, orbit.X, orbit.y, [0.4, 0.3, 0.2], later.X, later.y, dimension=1
+    )
+    assert not found.rates.applies
+    assert (found.sup_error > 0).all()
+
+
+def test_slopes_end_where_rounding_begins(orbit, later):
+    """A wide smooth kernel stalls far above 1e-12 of the outputs."""
+    found = convergence_study(
+        KoopmanKernelRegressor("wendland_c6", beta=20.0),
+        *(orbit.X, orbit.y, np.geomspace(0.5, 0.02, 10), later.X, later.y),
+        dimension=1,
+    )
+    least = np.minimum.accumulate(np.append(np.inf, found.sup_error))[:-1]
+    size = np.abs(later.y).max()
+    assert (found.sup_error[found.used] < least[found.used]).all()
+    assert not found.used[(found.sup_error > least / 2) & (least < 1e-8 * size)].any()
+    assert found.slope > 7
+
+
+def test_fill_distance_along_the_manifold_has_the_same_slope(orbit, later):
+    arguments = (orbit.X, orbit.y, np.geomspace(1.2, 0.05, 7), later.X, later.y)
+    model = KoopmanKernelRegressor(beta=2.0)
+    through = convergence_study(model, *arguments, dimension=1)
+    along = convergence_study(model, *arguments, dimension=1, metric="geodesic")
+    assert (along.fill_distance > 0.999 * through.fill_distance).all()
+    assert along.fill_distance[0] > 1.003 * through.fill_distance[0]  # arcs
+    assert along.slope == pytest.approx(through.slope, rel=0.02)
+
+
+def test_a_single_kernel_needs_no_list(orbit):
+    single, listed = (
+        conditioning_study(kernels, [2.0], orbit.X, [0.4, 0.2, 0.1], dimension=1)
+        for kernels in (MaternSobolev(nu=1.5), [MaternSobolev(nu=1.5)])
+    )
+    assert_array_equal(single.condition_number, listed.condition_number)
+
+
+def test_states_too_small_for_squares_are_refused():
+    X = 1e-170 * np.random.default_rng(0).standard_normal((100, 2))
+    for refused in (
+        lambda: intrinsic_dimension(X),
+        lambda: fill_distance(X[:5], X),
+        lambda: separation_distance(X),
+    ):
+        with pytest.raises(ValueError, match="rescale"):
+            refused()

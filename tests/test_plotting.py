@@ -31,6 +31,7 @@ from sklearn_koopman import (
     trajectory_pairs,
 )
 from sklearn_koopman.datasets import make_pendulum, make_walking
+from sklearn_koopman.kernels import MaternSobolev, Wendland
 from sklearn_koopman.plotting import (
     CenterSelectionDisplay,
     ConditioningDisplay,
@@ -1123,3 +1124,25 @@ def test_spectra_refuse(model, pendulum):
     assert len(SpectrumDisplay.from_estimator(pipeline).eigenvalues) == 9
     with pytest.raises(ValueError, match="colorbar must be True or False"):
         SpectrumDisplay.from_estimator(pipeline, colorbar="no")
+
+
+def test_a_band_may_have_one_width():
+    y = np.arange(5.0)
+    display = ForecastDisplay.from_predictions(y, y, bound=0.5)
+    assert_array_equal(display.bound, np.full(5, 0.5))
+
+
+def test_legends_name_no_part_of_a_composite_kernel():
+    kernel = MaternSobolev(2.0, nu=1.5) + Wendland(1.0, smoothness=2)
+    assert kernel_name(repr(kernel)) == repr(kernel)
+    assert kernel_name(repr(MaternSobolev(2.0, nu=1.5))) == "Matern-3/2"
+    assert kernel_name(repr(Wendland(1.0, smoothness=4))) == "Wendland C4"
+
+
+def test_surfaces_share_a_legend(pendulum):
+    model = KoopmanKernelRegressor(beta=2.0).fit(pendulum.X, pendulum.y)
+    display = SurfaceDisplay.from_estimator(model, pendulum.X, legend=False)
+    assert display.ax_.get_legend() is None
+    labels = [handle.get_label() for handle in display.handles_]
+    assert labels[0] == "estimate"
+    assert labels[-1] == f"{len(model.centers_)} centres"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from inspect import signature
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -10,8 +12,8 @@ from sklearn.base import clone
 from sklearn.model_selection import check_cv
 from sklearn.utils import Bunch, indexable
 
+from sklearn_koopman._pipelines import transformed, unwrap
 from sklearn_koopman._validation import check_positive
-from sklearn_koopman.diagnostics._studies import _split
 from sklearn_koopman.trajectories import TrajectoryKFold
 
 
@@ -38,8 +40,8 @@ def calibration_study(
     groups : array-like of shape (n_samples,), default=None
         The trajectory of each row, so that whole ones are left out.
     cv : int, cross-validation generator or iterable, default=None
-        How rows are left out. None means
-        :class:`~sklearn_koopman.TrajectoryKFold` with up to five folds.
+        How rows are left out. A number is that of the folds of
+        :class:`~sklearn_koopman.TrajectoryKFold`; None means up to five.
     levels : array-like of shape (n_levels,)
         Probabilities of the central intervals of a normal distribution.
 
@@ -100,22 +102,29 @@ def calibration_study(
     if levels.max() >= 1:
         raise ValueError(f"levels must lie between 0 and 1, got {levels.max():g}.")
     if cv is None:
-        n_folds = 5 if groups is None else min(5, len(np.unique(groups)))
-        cv = TrajectoryKFold(n_folds)
+        cv = 5 if groups is None else min(5, len(np.unique(groups)))
+    if isinstance(cv, Integral):
+        if cv < 2:
+            raise ValueError(
+                f"cv={cv} leaves nothing to learn from; give groups of two "
+                "trajectories at least, or a splitter that leaves out parts of one."
+            )
+        cv = TrajectoryKFold(int(cv))
     limits = ndtri((1 + levels) / 2)
-    X, y = np.asarray(X), np.asarray(y, dtype=np.float64)
+    y = np.asarray(y, dtype=np.float64)
     scaled = []  # errors over standard deviations, an array a fold
     for train, test in check_cv(cv).split(X, y, groups):
-        before, final = _split(clone(estimator).fit(X[train], y[train]))
-        try:
-            mean, std = final.predict(before(X[test]), return_std=True)
-        except TypeError as error:
+        model = clone(estimator).fit(_rows(X, train), y[train])
+        final, front = unwrap(model)
+        if "return_std" not in signature(final.predict).parameters:
             raise ValueError(
                 f"{type(final).__name__}.predict has no return_std; calibration is "
                 "that of stated standard deviations."
-            ) from error
-        missed = np.abs(y[test] - mean).reshape(-1, 1)
-        std = std.reshape(-1, 1)
+            )
+        states = transformed(front, _rows(X, test))
+        mean, std = final.predict(states, return_std=True)
+        missed = np.abs(y[test] - np.reshape(mean, y[test].shape)).reshape(-1, 1)
+        std = np.reshape(std, (-1, 1))
         # No error is within any standard deviation, zero included.
         with np.errstate(divide="ignore"):
             scaled.append(np.divide(missed, std, out=0 * missed, where=missed > 0))
@@ -127,3 +136,7 @@ def calibration_study(
         ratio=float(np.sqrt(np.mean(together**2))),
         fold_ratio=np.array([np.sqrt(np.mean(z**2)) for z in scaled]),
     )
+
+
+def _rows(X: Any, rows: Any) -> Any:
+    return X.iloc[rows] if hasattr(X, "iloc") else np.asarray(X)[rows]

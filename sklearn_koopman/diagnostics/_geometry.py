@@ -56,8 +56,8 @@ def fill_distance(
     n_neighbors : int, default=None
         Number of neighbours in the graph, for "geodesic" only. More of them make paths
         straighter, and jump over wider gaps. None takes a 20th of the points of the
-        graph, but at least 6 and at most 20: paths are then too long by some 0.1 %
-        on curves and 1 % on surfaces.
+        graph, but at least 6 and at most 20: paths are then too short by some 0.1 %
+        on curves, which they cut, and too long by 1 or 2 % on surfaces.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def fill_distance(
 
     See Also
     --------
-    separation_distance : The other half of the story.
+    separation_distance : Half the smallest distance of two centres.
     sklearn_koopman.SeparatedCenterSelector : Chooses centres by both.
 
     Notes
@@ -109,15 +109,9 @@ def fill_distance(
     0.785
     """
     centers, reference = _checked_points(centers, reference)
-    geodesic = _is_geodesic(metric, n_neighbors)
-    tree, farthest = KDTree(centers), 0.0
-    for rows in gen_batches(len(reference), BATCH):
-        farthest = max(farthest, float(_nearest(tree, reference[rows], 1)[0].max()))
-    if geodesic:
-        graph = _Graph(centers, reference, n_neighbors)
-        graph.check_passages(reference, farthest)
-        return graph.fill_distance()
-    return farthest
+    if _is_geodesic(metric, n_neighbors):
+        return _neighborhoods(centers, reference, n_neighbors).fill_distance()
+    return _fill_distance(centers, reference)
 
 
 def separation_distance(
@@ -156,6 +150,11 @@ def separation_distance(
     ValueError
         If the arrays do not fit together.
 
+    Warns
+    -----
+    UserWarning
+        As for :func:`fill_distance`.
+
     Examples
     --------
     >>> from sklearn_koopman.diagnostics import separation_distance
@@ -169,14 +168,8 @@ def separation_distance(
                 "which the paths between the centres follow."
             )
         centers, reference = _checked_points(centers, reference)
-        if len(distinct_rows(centers)[0]) < len(centers):
-            return 0.0
-        return _Graph(centers, reference, n_neighbors).separation_distance()
-    centers = _checked(centers, "centers")
-    if len(centers) < 2:
-        return np.inf
-    distances, _ = _nearest(KDTree(centers), centers, 2)
-    return float(distances.min()) / 2
+        return _neighborhoods(centers, reference, n_neighbors).separation_distance()
+    return _separation_distance(_checked(centers, "centers"))
 
 
 def mesh_ratio(
@@ -190,8 +183,9 @@ def mesh_ratio(
 
     Centres with a small ratio are quasi-uniform: they make the most of the fill
     distance that their conditioning pays for. Those of
-    :class:`~sklearn_koopman.SeparatedCenterSelector` have a ratio of at most 2,
-    with respect to the samples that they were chosen among.
+    :class:`~sklearn_koopman.SeparatedCenterSelector`, without `max_centers`, have a
+    ratio of at most 2 in Euclidean distances, with respect to the samples that they
+    were chosen among.
 
     Parameters
     ----------
@@ -207,7 +201,8 @@ def mesh_ratio(
     Returns
     -------
     mesh_ratio : float
-        The ratio; infinite if two centres are equal.
+        The ratio; infinite if two centres are equal, and zero for a single centre,
+        which is infinitely separated.
 
     Raises
     ------
@@ -220,9 +215,13 @@ def mesh_ratio(
     >>> mesh_ratio([[0.0], [2.0]], [[0.0], [0.5], [2.0], [4.0]])
     2.0
     """
-    options: dict[str, Any] = {"metric": metric, "n_neighbors": n_neighbors}
-    fill = fill_distance(centers, reference, **options)
-    separation = separation_distance(centers, reference, **options)
+    centers, reference = _checked_points(centers, reference)
+    if _is_geodesic(metric, n_neighbors):
+        graph = _neighborhoods(centers, reference, n_neighbors)
+        fill, separation = graph.fill_distance(), graph.separation_distance()
+    else:
+        fill = _fill_distance(centers, reference)
+        separation = _separation_distance(centers)
     return fill / separation if separation > 0 else np.inf
 
 
@@ -241,8 +240,8 @@ def intrinsic_dimension(
     .. math:: \\hat m = \\frac{\\psi(2n) - \\psi(n)}
         {\\operatorname{mean} \\log (r_{2n} / r_n)},
 
-    where the digamma function :math:`\\psi` makes it exact on average for independent
-    samples (where the density hardly varies from r_n to r_2n).
+    where the digamma function :math:`\\psi` makes :math:`1 / \\hat m` exact on average
+    for independent samples (where the density hardly varies from r_n to r_2n).
 
     On a finely sampled trajectory all near neighbours are the samples just before and
     after, and every such estimate says 1. Therefore it is made on random subsets of
@@ -268,10 +267,11 @@ def intrinsic_dimension(
     dimension : float
         The estimate. It is not rounded.
     standard_error : float
-        The root of the sum of two squares: of the statistical error, ``dimension``
-        over the root of the number of points used, and of the change of the estimate
-        from subsets to half as large ones, which shows where curvature, boundaries or
-        noise matter.
+        The root of the sum of two squares: of ``dimension`` over the root of the
+        number of points used (twice the statistical error of independent ratios, of
+        which there are fewer than points, since balls overlap); and of the change of
+        the estimate from subsets to half as large ones, which shows where curvature
+        or noise matter.
 
     Raises
     ------
@@ -281,8 +281,12 @@ def intrinsic_dimension(
     Notes
     -----
     A dimension is a matter of scale: noise of the measurement fills all dimensions
-    below its own size. Lower `n_points` looks beyond it. Near boundaries balls are cut
-    off, which lowers the estimate. Features should have comparable units.
+    below its own size. Lower `n_points` looks beyond it. Features should have
+    comparable units.
+
+    Near a boundary balls are cut off, which lowers the estimate by more than the
+    standard error says: by some 5 % for a square, 8 % for a cube. Many independent
+    samples deserve more `n_points` than the default, which suits trajectories.
 
     A motion that does not come back, as a single stride, is a curve, whatever
     manifold it would fill in time.
@@ -364,6 +368,39 @@ def _return_in_steps(X: Array) -> float:
     return 2 * distance / step if np.isfinite(distance) else 0.0
 
 
+def _fill_distance(centers: Array, reference: Array) -> float:
+    tree, farthest = KDTree(centers), 0.0
+    for rows in gen_batches(len(reference), BATCH):
+        farthest = max(farthest, float(_nearest(tree, reference[rows], 1)[0].max()))
+    return farthest
+
+
+def _separation_distance(centers: Array) -> float:
+    if len(centers) < 2:
+        return np.inf
+    distances, _ = _nearest(KDTree(centers), centers, [2])
+    return float(distances.min()) / 2
+
+
+def _neighborhoods(centers: Array, reference: Array, n_neighbors: int | None) -> _Graph:
+    """Build the graph, and warn where neighbours are only those in time."""
+    graph = _Graph(centers, reference, n_neighbors)
+    apart = float(np.median(_return_distances(reference)))
+    # Twice: neighbourhoods have to reach well into the next passage.
+    if np.median(graph.longest) < 2 * apart < 2 * _fill_distance(centers, reference):
+        warnings.warn(
+            f"The {graph.n_neighbors} neighbours of most points are mostly the samples "
+            f"just before and after, while the motion returns at a distance of "
+            f"{apart:.2g}: paths follow the trajectory. If its passages lie on a "
+            "surface rather than on a curve, thin the reference: "
+            f"reference[SeparatedCenterSelector({apart:.2g}).fit(reference)."
+            "center_indices_].",
+            UserWarning,
+            stacklevel=3,
+        )
+    return graph
+
+
 class _Graph:
     """Shortest paths from the centres in a neighbourhood graph of all points."""
 
@@ -373,6 +410,7 @@ class _Graph:
         nodes = np.vstack([centers, reference])
         nodes = nodes[distinct_rows(nodes)[0]]
         n_centers = len(distinct_rows(centers)[0])  # they remain the first ones
+        self.equal_centers = n_centers < len(centers)
         if n_neighbors is None:
             n_neighbors = int(np.clip(len(nodes) // 20, 6, 20))
         self.n_neighbors = min(n_neighbors, len(nodes) - 1)
@@ -406,27 +444,14 @@ class _Graph:
         return float(self.distance.max())
 
     def separation_distance(self) -> float:
+        if self.equal_centers:
+            return 0.0
         # The shortest path between two centres crosses once from the points nearest
         # to the one to those nearest to the other.
         crossing = self.source[self.begin] != self.source[self.end]
         begin, end = self.begin[crossing], self.end[crossing]
         ways = self.distance[begin] + self.length[crossing] + self.distance[end]
         return float(ways.min(initial=np.inf)) / 2
-
-    def check_passages(self, reference: Array, fill: float) -> None:
-        """Warn where neighbours are those in time, between passages nearby."""
-        apart = float(np.median(_return_distances(reference)))
-        if np.median(self.longest) < apart < fill:
-            warnings.warn(
-                f"The {self.n_neighbors} neighbours of most points are the samples "
-                f"just before and after, while the motion returns at a distance of "
-                f"{apart:.2g}: paths follow the trajectory. If its passages lie on a "
-                "surface rather than on a curve, thin the reference: "
-                f"reference[SeparatedCenterSelector({apart:.2g}).fit(reference)."
-                "center_indices_].",
-                UserWarning,
-                stacklevel=3,
-            )
 
 
 def _nearest(tree: KDTree, X: Array, which: int | list[int]) -> tuple[Array, Indices]:
@@ -449,7 +474,7 @@ def _is_geodesic(metric: Any, n_neighbors: int | None) -> bool:
 
 def _checked(X: Any, name: str) -> Array:
     X = check_array(X, dtype=np.float64, input_name=name)
-    check_magnitude(X, smallest=0, name=name)
+    check_magnitude(X, name=name)
     return np.asarray(X, dtype=np.float64)
 
 

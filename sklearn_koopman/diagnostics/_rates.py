@@ -15,6 +15,7 @@ from sklearn.gaussian_process.kernels import (
     Product,
     RationalQuadratic,
     Sum,
+    WhiteKernel,
 )
 from sklearn.utils import Bunch
 
@@ -37,9 +38,9 @@ def sobolev_rates(kernel: Any, n_features: int, dimension: float) -> Bunch:
     .. math:: \\sup_Q |g - g_M| = O(h^{s - m/2}), \\quad
         \\|g - g_M\\|_{L^2(Q)} = O(h^s),
 
-    up to twice these orders for smoother functions. The smallest eigenvalue of the
-    Gram matrix falls with the separation q at most like q^(2s - m), and the condition
-    number of quasi-uniform centres rises like q^(-2s).
+    and both fall by up to a further :math:`h^s` for smoother functions. The smallest
+    eigenvalue of the Gram matrix falls with the separation q at most like q^(2s - m),
+    and the condition number of quasi-uniform centres rises like q^(-2s).
 
     Parameters
     ----------
@@ -58,22 +59,21 @@ def sobolev_rates(kernel: Any, n_features: int, dimension: float) -> Bunch:
 
         tau, s : float
             The orders in R^d and on the manifold; infinite for kernels that are
-            smoother than any Sobolev order.
+            smoother than any Sobolev order, NaN for those of which it is not known.
         sup_exponent, rms_exponent : float
             The exponents ``s - m / 2`` and ``s`` above; NaN if the theorem does not
             apply.
         condition_exponent : float
-            The exponent ``-2 s`` above.
+            The exponent ``-2 s`` above; NaN if the theorem does not apply.
         applies : bool
-            Whether s > m/2.
+            Whether s > m/2, with an order tau that is known.
         statement : str
             All this in words.
 
     Raises
     ------
     ValueError
-        If the Sobolev order of the kernel is not known, or the dimensions are out of
-        range.
+        If there is no such kernel, or the dimensions are out of range.
 
     See Also
     --------
@@ -118,7 +118,12 @@ def sobolev_rates(kernel: Any, n_features: int, dimension: float) -> Bunch:
     m = float(dimension)
     s = tau - (n_features - m) / 2
     applies = bool(s > m / 2)
-    if not applies:
+    if np.isnan(tau):
+        statement = (
+            f"no rate is known, since the Sobolev order of {kernel!r} is not; if you "
+            "know it, give the order tau itself, a number, as the kernel"
+        )
+    elif not applies:
         statement = (
             f"no rate is guaranteed: the order on the manifold is s = {s:g}, not above "
             f"m/2 = {m / 2:g}; take a smoother kernel"
@@ -128,34 +133,33 @@ def sobolev_rates(kernel: Any, n_features: int, dimension: float) -> Bunch:
     else:
         statement = (
             f"sup error O(h^{s - m / 2:g}), rms error O(h^{s:g}) for functions of "
-            f"order s = {s:g} on the manifold, up to twice that for smoother ones"
+            f"order s = {s:g} on the manifold; smoother ones gain up to h^{s:g} more"
         )
     return Bunch(
         tau=tau,
         s=s,
         sup_exponent=s - m / 2 if applies else np.nan,
         rms_exponent=s if applies else np.nan,
-        condition_exponent=-2 * s,
+        condition_exponent=-2 * s if applies else np.nan,
         applies=applies,
         statement=statement,
     )
 
 
 def _order(kernel: Kernel, n_features: int) -> float:
-    """Return the Sobolev order of the native space of a kernel in R^d."""
+    """Return the Sobolev order of a kernel in R^d; NaN if it is not known."""
     if isinstance(kernel, RadialKernel):
         return kernel.sobolev_order(n_features)
     if isinstance(kernel, Matern):
         return float(kernel.nu) + n_features / 2
-    if isinstance(kernel, RBF | RationalQuadratic | ConstantKernel):
+    # Noise and constants do not make the rest of a sum any rougher.
+    if isinstance(kernel, RBF | RationalQuadratic | ConstantKernel | WhiteKernel):
         return np.inf
     # The native space of a sum is the sum of the spaces. The transform of a product is
     # a convolution, and decays as the slower one does.
     if isinstance(kernel, Sum | Product):
-        return min(_order(kernel.k1, n_features), _order(kernel.k2, n_features))
+        parts = [_order(part, n_features) for part in (kernel.k1, kernel.k2)]
+        return float(np.min(parts))  # NaN if one is
     if isinstance(kernel, Exponentiation):
         return _order(kernel.kernel, n_features)
-    raise ValueError(
-        f"The Sobolev order of kernel={kernel!r} is not known; if you know it, give "
-        "the order tau itself, a number, as the kernel."
-    )
+    return np.nan

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgWarning
 from scipy.stats import linregress, t
 from sklearn.base import clone
-from sklearn.pipeline import Pipeline
-from sklearn.utils import Bunch, check_array, check_X_y
+from sklearn.gaussian_process.kernels import Kernel, WhiteKernel
+from sklearn.utils import Bunch, check_array, check_consistent_length
 
+from sklearn_koopman._pipelines import transformed, unwrap
 from sklearn_koopman._validation import check_number, check_positive
 from sklearn_koopman.centers import SeparatedCenterSelector, sequential_centers
 from sklearn_koopman.diagnostics._conditioning import (
@@ -31,8 +32,10 @@ from sklearn_koopman.kernels import as_kernel
 
 Array = NDArray[np.float64]
 
-# Errors below this, relative to the outputs, are rounding rather than approximation.
+# Errors below this, relative to the outputs, are rounding rather than approximation;
 ROUNDING = 1e-12
+# and so are those below this that no longer fall.
+STALLING = 1e-8
 
 
 def convergence_study(
@@ -43,6 +46,7 @@ def convergence_study(
     X_test: Any,
     y_test: Any,
     *,
+    metric: str = "euclidean",
     dimension: float | None = None,
     confidence: float = 0.95,
 ) -> Bunch:
@@ -67,6 +71,9 @@ def convergence_study(
         States on the same manifold that are no centres.
     y_test : array-like of shape (n_test,) or (n_test, n_outputs)
         Their outputs.
+    metric : {"euclidean", "geodesic"}, default="euclidean"
+        Fill and separation distances through the space, or along the manifold (see
+        :func:`fill_distance`). For small ones the slopes are the same.
     dimension : float, default=None
         Dimension of the manifold, for the guaranteed rate. None rounds that which
         :func:`intrinsic_dimension` gives for `X` to a whole number.
@@ -80,14 +87,15 @@ def convergence_study(
 
         separation, n_centers, fill_distance, separation_distance, sup_error, \
 rms_error, condition_number : ndarray of shape (n_separations,)
-            The table, in the order of `separations`. Distances are Euclidean, in the
-            units that the kernel sees (behind the steps of a pipeline); the fill
-            distance is that with respect to all states given. Errors of several
-            outputs are lengths of vectors.
+            The table, in the order of `separations`. Distances are in the units that
+            the kernel sees (behind the steps of a pipeline); the fill distance is that
+            with respect to all states given. Errors of several outputs are lengths of
+            vectors. The matrix is the one that is solved with, `alpha` included.
         used : ndarray of shape (n_separations,), bool
             Which lines the slopes are fitted to: those with other centres than the
-            line before, no centre dropped for numerical dependence, and an error
-            above the rounding of the outputs (1e-12 of their size).
+            line before, no centre dropped for numerical dependence, and an error above
+            rounding. That is above 1e-12 of the outputs and, once below 1e-8 of them,
+            still falling: to half of the least error of larger fill distances.
         slope, rms_slope : float
             Slopes of the logarithms of the errors over that of the fill distance, by
             least squares; NaN from fewer than two lines.
@@ -95,8 +103,8 @@ rms_error, condition_number : ndarray of shape (n_separations,)
             Their intervals of confidence, for scatter about a straight line.
         guaranteed_slope : float
             The exponent of the sup error that :func:`sobolev_rates` guarantees; NaN
-            where it does not apply, which is also the case for least squares or
-            ``alpha > 0``.
+            where it does not apply, which is also the case for least squares,
+            ``alpha > 0`` or a kernel with a noise term.
         rates : :class:`~sklearn.utils.Bunch`
             All that :func:`sobolev_rates` says.
         dimension, confidence : float
@@ -138,18 +146,16 @@ rms_error, condition_number : ndarray of shape (n_separations,)
     >>> bool(3.5 < study.slope < 4.3)  # the output is smoother than it has to be
     True
     """
-    X, y = check_X_y(X, y, multi_output=True, y_numeric=True, dtype=np.float64)
-    X_test, y_test = check_X_y(
-        X_test, y_test, multi_output=True, y_numeric=True, dtype=np.float64
-    )
-    if X_test.shape[1:] != X.shape[1:] or y_test.shape[1:] != y.shape[1:]:
+    truth, learned = _outputs(y_test, X_test), _outputs(y, X)
+    if truth.shape[1:] != learned.shape[1:]:
         raise ValueError(
-            f"X_test and y_test have the shapes {X_test.shape} and {y_test.shape}, "
-            f"which do not fit those of X and y, {X.shape} and {y.shape}."
+            f"y_test has the shape {truth.shape}, which does not fit that of y, "
+            f"{learned.shape}."
         )
     separations = check_positive(separations, "separations")
     _check_confidence(confidence)
     parameter = _separation_parameter(estimator)
+    rates: Any = None
     lines: list[dict[str, Any]] = []
     previous: Any = None
     for separation in separations:
@@ -163,38 +169,46 @@ rms_error, condition_number : ndarray of shape (n_separations,)
                 dropped = True
             else:
                 warnings.warn(warning.message, warning.category, stacklevel=2)
-        before, final = _split(model)
+        final, front = unwrap(model)
         if not hasattr(final, "centers_"):
             raise ValueError(
-                "estimator must fit a KoopmanKernelRegressor to states; with "
-                "centers='precomputed' the centres are not known to it."
+                "estimator must be a KoopmanKernelRegressor, or a pipeline that ends "
+                f"in one, that is fitted to states and not to distances, got {final!r}."
             )
-        states = np.vstack([before(X), before(X_test)])
-        error = _lengths(final.predict(before(X_test)) - y_test)
-        centers = final.centers_
+        error = _lengths(np.reshape(model.predict(X_test), truth.shape) - truth)
+        states, test = (np.asarray(transformed(front, x)) for x in (X, X_test))
+        if rates is None:  # what is wrong with them should not cost all fits
+            if dimension is None:
+                dimension = _whole_dimension(states)
+            rates = sobolev_rates(final.kernel_, states.shape[1], dimension)
+        exact = final.method == "interpolation"
+        centers, nugget = final.centers_, final.alpha if exact else 0.0
+        cover = np.vstack([states, test])
         again = previous is not None and np.array_equal(previous, centers)
         previous = centers
-        floor = ROUNDING * np.abs(y_test).max()
-        sup = float(error.max())
         lines.append(
             {
                 "separation": separation,
                 "n_centers": len(centers),
-                "fill_distance": fill_distance(centers, states),
-                "separation_distance": separation_distance(centers),
-                "sup_error": sup,
+                "fill_distance": fill_distance(centers, cover, metric=metric),
+                "separation_distance": separation_distance(
+                    centers, cover, metric=metric
+                ),
+                "sup_error": float(error.max()),
                 "rms_error": float(np.sqrt(np.mean(error**2))),
-                "condition_number": condition_number(final.kernel_, centers),
-                "used": not (dropped or again or sup <= floor),
+                "condition_number": condition_number(
+                    final.kernel_, centers, alpha=nugget
+                ),
+                "used": not (dropped or again),
             }
         )
     table = {name: np.array([line[name] for line in lines]) for name in lines[0]}
     used = table["used"]
-    states = before(X)
-    if dimension is None:
-        dimension = _whole_dimension(states)
-    rates = sobolev_rates(final.kernel_, states.shape[1], dimension)
-    exact = getattr(final, "method", None) == "interpolation" and final.alpha == 0
+    used &= _above_rounding(
+        table["fill_distance"], table["sup_error"], float(np.abs(truth).max())
+    )
+    noisy = [isinstance(k, WhiteKernel) for k in final.kernel_.get_params().values()]
+    exact = exact and final.alpha == 0 and not any(noisy)
     fits: dict[str, Any] = {}
     for name, errors in (("slope", "sup_error"), ("rms_slope", "rms_error")):
         fits[name], fits[f"{name}_interval"] = _slope(
@@ -226,7 +240,7 @@ def conditioning_study(
 
     Parameters
     ----------
-    kernels : sequence of str or Kernel
+    kernels : str, Kernel or sequence of them
         The kernels.
     betas : array-like of shape (n_betas,)
         Their scales.
@@ -299,12 +313,16 @@ def conditioning_study(
     X = check_array(X, dtype=np.float64, input_name="X")
     betas = check_positive(betas, "betas")
     separations = check_positive(separations, "separations")
-    kernels = [kernels] if isinstance(kernels, str) else list(kernels)
+    kernels = [kernels] if isinstance(kernels, str | Kernel) else list(kernels)
     _check_confidence(confidence)
     if not kernels:
         raise ValueError("kernels is empty; give a name or a kernel at least.")
     if dimension is None:
         dimension = _whole_dimension(X)
+    expected = [
+        sobolev_rates(kernel, X.shape[1], dimension).condition_exponent
+        for kernel in kernels
+    ]
     chosen = [X[sequential_centers(X, separation)] for separation in separations]
     q = np.array([separation_distance(centers) for centers in chosen])
     shape = (len(kernels), len(betas), len(separations))
@@ -325,10 +343,6 @@ def conditioning_study(
             slope[i, j], interval[i, j] = _slope(
                 q[finest], condition[i, j, finest], confidence, fewest=3
             )
-    expected = [
-        sobolev_rates(kernel, X.shape[1], dimension).condition_exponent
-        for kernel in kernels
-    ]
     return Bunch(
         kernel=[k if isinstance(k, str) else repr(k) for k in kernels],
         beta=betas,
@@ -405,9 +419,9 @@ def crowding_study(
     Notes
     -----
     The power 2 tau - d of the lower bound (:func:`smallest_eigenvalue`) is that of
-    many centres close together. A single pair at a distance r leaves the eigenvalue
-    1 - phi(r), about, which falls like r for kernels that have a cusp, and like r^2 for
-    all that are smoother, until the other centres take part.
+    many centres close together. A single pair at a distance r leaves at most the
+    eigenvalue 1 - phi(r), which falls like r for kernels that have a cusp, and like
+    r^2 for all that are smoother; the other centres lower it by a factor.
 
     References
     ----------
@@ -517,14 +531,21 @@ def _separation_parameter(estimator: Any) -> Any:
     )
 
 
-def _split(model: Any) -> tuple[Any, Any]:
-    """Return the transform in front of the final step of a fitted model, and that."""
-    if isinstance(model, Pipeline):
-        front = model[:-1]
-        return (front.transform if len(front) else np.asarray), model[-1]
-    return np.asarray, model
+def _outputs(y: Any, X: Any) -> Array:
+    check_consistent_length(X, y)
+    y = check_array(y, ensure_2d=False, dtype=np.float64, input_name="y")
+    return np.asarray(y, dtype=np.float64)
 
 
 def _lengths(vectors: Array) -> Array:
     """Return the lengths of rows; their absolute values if they are numbers."""
-    return np.sqrt(np.square(vectors.reshape(len(vectors), -1)).sum(axis=1))
+    return np.linalg.norm(vectors.reshape(len(vectors), -1), axis=1)
+
+
+def _above_rounding(h: Array, error: Array, size: float) -> NDArray[np.bool_]:
+    """Tell which errors are those of the approximation."""
+    order = np.argsort(-h, kind="stable")
+    coarser = np.minimum.accumulate(np.append(np.inf, error[order]))[:-1]
+    stalled = np.empty(len(h), dtype=bool)
+    stalled[order] = (error[order] < STALLING * size) & (error[order] > coarser / 2)
+    return (error > ROUNDING * size) & ~stalled

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_koopman._pipelines import unwrap
+from sklearn_koopman.diagnostics import fill_distance, separation_distance
 from sklearn_koopman.plotting._inputs import (
     known_centers,
     names_of_features,
-    unwrap,
 )
 from sklearn_koopman.plotting._style import BLUE, axes_for, line_style, merged
 
@@ -173,17 +173,12 @@ class CenterSelectionDisplay:
         selector = (
             final if hasattr(final, "separation") else final.get_params().get("centers")
         )
-        tree = KDTree(centers)
-        distance = np.inf
-        if len(centers) > 1:
-            neighbors, _ = tree.query(centers, k=2)
-            distance = float(np.asarray(neighbors)[:, 1].min()) / 2
         return cls(
             samples=X,
             centers=centers,
             separation=getattr(selector, "separation", None),
-            separation_distance=distance,
-            fill_distance=float(np.max(tree.query(X)[0])),
+            separation_distance=separation_distance(centers),
+            fill_distance=fill_distance(centers, X),
             features=features,
             feature_names=names,
         ).plot(ax, sample_kw=sample_kw, center_kw=center_kw, circle_kw=circle_kw)

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_koopman._pipelines import unwrap
 from sklearn_koopman._validation import check_flag, check_integer, check_number
-from sklearn_koopman.plotting._inputs import column, one_step, times_of, unwrap
+from sklearn_koopman.plotting._inputs import column, one_step, times_of
 from sklearn_koopman.plotting._style import (
     COLORS,
     axes_for,
@@ -196,6 +197,7 @@ class ForecastDisplay:
         predicted = column(y_pred, output, n_times, "y_pred")
         if bound is not None:
             bound = np.asarray(bound, dtype=np.float64)
+            bound = np.full(n_times, bound) if bound.ndim == 0 else bound
             shared = bound.reshape(len(bound), -1).shape[1] == 1
             bound = column(bound, 0 if shared else output, n_times, "bound")
             if (bound < 0).any():

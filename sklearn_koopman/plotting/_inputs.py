@@ -9,32 +9,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.pipeline import Pipeline
 
+from sklearn_koopman._pipelines import unwrap
 from sklearn_koopman._validation import check_integer, check_number
 
 Array = NDArray[np.float64]
-
-
-def unwrap(estimator: Any) -> tuple[Any, Any]:
-    """Look into a pipeline, or a search.
-
-    Parameters
-    ----------
-    estimator : estimator instance
-        A fitted estimator.
-
-    Returns
-    -------
-    final : estimator instance
-        Its last step, or the estimator itself.
-    scaler : Pipeline or None
-        The steps before it, if any.
-    """
-    estimator = getattr(estimator, "best_estimator_", estimator)
-    if not isinstance(estimator, Pipeline):
-        return estimator, None
-    return estimator[-1], estimator[:-1] if len(estimator) > 1 else None
 
 
 def known_centers(estimator: Any) -> Array | None:
@@ -207,13 +186,15 @@ def kernel_name(kernel: str) -> str:
     """
     if found := re.fullmatch(r"matern([135])2", kernel):
         return f"Matern-{found[1]}/2"
-    if found := re.fullmatch(r"MaternSobolev\(.*nu=([0-2])\.5.*\)", kernel):
+    if found := re.fullmatch(r"MaternSobolev\([^()]*nu=([0-2])\.5[^()]*\)", kernel):
         return f"Matern-{2 * int(found[1]) + 1}/2"
-    if found := re.fullmatch(r"wendland_c(\d)|Wendland\(.*smoothness=(\d).*\)", kernel):
+    if found := re.fullmatch(
+        r"wendland_c(\d)|Wendland\([^()]*smoothness=(\d)[^()]*\)", kernel
+    ):
         return f"Wendland C{found[1] or found[2]}"
-    if re.fullmatch(r"gaussian|Gaussian\(.*\)", kernel):
+    if re.fullmatch(r"gaussian|Gaussian\([^()]*\)", kernel):
         return "Gaussian"
-    if re.fullmatch(r"inverse_multiquadric|InverseMultiquadric\(.*\)", kernel):
+    if re.fullmatch(r"inverse_multiquadric|InverseMultiquadric\([^()]*\)", kernel):
         return "inverse multiquadric"
     return kernel
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_koopman._pipelines import unwrap
 from sklearn_koopman._validation import check_flag
-from sklearn_koopman.plotting._inputs import unwrap
 from sklearn_koopman.plotting._style import axes_for, line_style, merged
 
 __all__ = ["SpectrumDisplay"]

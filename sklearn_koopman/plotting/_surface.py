@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_koopman._pipelines import unwrap
 from sklearn_koopman._validation import check_integer, check_number
 from sklearn_koopman.plotting._inputs import (
     check_limits,
@@ -17,7 +18,6 @@ from sklearn_koopman.plotting._inputs import (
     locate_centers,
     names_of_features,
     predict_like,
-    unwrap,
 )
 from sklearn_koopman.plotting._style import (
     BLUE,
