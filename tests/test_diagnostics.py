@@ -1319,10 +1319,12 @@ def test_slopes_end_where_rounding_begins(orbit, later):
         *(orbit.X, orbit.y, np.geomspace(0.5, 0.02, 10), later.X, later.y),
         dimension=1,
     )
-    least = np.minimum.accumulate(np.append(np.inf, found.sup_error))[:-1]
-    size = np.abs(later.y).max()
-    assert (found.sup_error[found.used] < least[found.used]).all()
-    assert not found.used[(found.sup_error > least / 2) & (least < 1e-8 * size)].any()
+    error, size = found.sup_error, np.abs(later.y).max()
+    last = np.flatnonzero(found.used)[-1]
+    assert found.used[: last + 1].all()
+    assert not found.used[last + 1 :].any()
+    assert 1e-12 * size < error[last] < 1e-8 * size
+    assert (error[last + 1 :] > error[last] / 2).all()
     assert found.slope > 7
 
 

@@ -95,7 +95,7 @@ rms_error, condition_number : ndarray of shape (n_separations,)
             Which lines the slopes are fitted to: those with other centres than the
             line before, no centre dropped for numerical dependence, and an error above
             rounding. That is above 1e-12 of the outputs and, once below 1e-8 of them,
-            still falling: to half of the least error of larger fill distances.
+            yet to fall to half of the least error so far.
         slope, rms_slope : float
             Slopes of the logarithms of the errors over that of the fill distance, by
             least squares; NaN from fewer than two lines.
@@ -545,7 +545,9 @@ def _lengths(vectors: Array) -> Array:
 def _above_rounding(h: Array, error: Array, size: float) -> NDArray[np.bool_]:
     """Tell which errors are those of the approximation."""
     order = np.argsort(-h, kind="stable")
-    coarser = np.minimum.accumulate(np.append(np.inf, error[order]))[:-1]
+    sorted_ = error[order]
+    before = np.minimum.accumulate(np.append(np.inf, sorted_))[:-1]
+    yet_to_come = np.minimum.accumulate(sorted_[::-1])[::-1]
     stalled = np.empty(len(h), dtype=bool)
-    stalled[order] = (error[order] < STALLING * size) & (error[order] > coarser / 2)
+    stalled[order] = (sorted_ < STALLING * size) & (yet_to_come > before / 2)
     return (error > ROUNDING * size) & ~stalled
