@@ -107,7 +107,7 @@ def read_legs(options):
         ]
         return "Recorded walking", legs, rate
     if options.synthetic or find_spec("gaitkit") is None:
-        walking = make_walking(2, n_strides=6, random_state=0)
+        walking = make_walking(2, n_strides=4, random_state=0)
         return "SYNTHETIC walking, nothing measured", walking.markers, walking.rate
     import gaitkit
 

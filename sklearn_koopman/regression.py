@@ -379,8 +379,9 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Returns
         -------
         power : ndarray of shape (n_samples,)
-            Zero at the centres (if alpha is 0, up to the square root of the rounding
-            error), and at most sqrt(k(x, x)) without a `trend`.
+            Zero at the centres (up to the square root of the rounding error, if alpha
+            is 0 and the kernel has no noise term), and at most sqrt(k(x, x)) without
+            a `trend`.
 
         Raises
         ------

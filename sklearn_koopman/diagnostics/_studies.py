@@ -515,7 +515,11 @@ def _slope(
 def _separation_parameter(estimator: Any) -> Any:
     """Return the function from a separation to the parameters that set it."""
     parameters = estimator.get_params()
-    names = [name for name in parameters if name.split("__")[-1] == "separation"]
+    names = [
+        name
+        for name in parameters
+        if name.split("__")[-2:] == ["centers", "separation"]
+    ]
     if len(names) == 1:
         return lambda separation: {names[0]: separation}
     names = [
