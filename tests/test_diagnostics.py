@@ -24,7 +24,7 @@ from sklearn.gaussian_process.kernels import (
 )
 from sklearn.linear_model import LinearRegression
 from sklearn.model_selection import GridSearchCV, GroupKFold, KFold
-from sklearn.pipeline import make_pipeline
+from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_koopman import (
@@ -917,8 +917,11 @@ def test_convergence_study_refuses_bad_input(orbit, later):
     ):
         with pytest.raises(ValueError, match="estimator must have one parameter"):
             study(estimator, orbit, later)
-    behind = make_pipeline(
-        SeparatedCenterSelector(), KoopmanKernelRegressor(centers="precomputed")
+    behind = Pipeline(
+        [
+            ("centers", SeparatedCenterSelector()),
+            ("koopman", KoopmanKernelRegressor(centers="precomputed")),
+        ]
     )
     with pytest.raises(ValueError, match="fitted to states and not to distances"):
         study(behind, orbit, later, [0.4])
