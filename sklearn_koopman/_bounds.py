@@ -70,19 +70,6 @@ def reach(basis: NativeBasis, centers: Array) -> float:
     )
 
 
-def beyond_centers(X: Array, centers: Array) -> NDArray[np.bool_]:
-    """Tell which states are in directions that no two of the centres differ in.
-
-    There a linear trend is arbitrary.
-    """
-    origin = centers.mean(axis=0)
-    _, singular, directions = np.linalg.svd(centers - origin, full_matrices=False)
-    seen = directions[singular > 1e-10 * max(singular[0], np.abs(origin).max())]
-    X = X - origin
-    left = np.abs(X - X @ seen.T @ seen).max(axis=1)
-    return np.asarray(left > 1e-9 * (np.abs(X).max(axis=1) + np.abs(origin).max()))
-
-
 def native_norm(
     sections: Sections,
     centers: Array,

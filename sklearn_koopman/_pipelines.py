@@ -8,7 +8,7 @@ from sklearn.pipeline import Pipeline
 
 
 def unwrap(estimator: Any) -> tuple[Any, Any]:
-    """Split a fitted estimator into its last step and what comes before.
+    """Split a fitted estimator into its very last step and what comes before.
 
     Parameters
     ----------
@@ -22,10 +22,19 @@ def unwrap(estimator: Any) -> tuple[Any, Any]:
     front : Pipeline or None
         The steps before it, if any.
     """
-    estimator = getattr(estimator, "best_estimator_", estimator)
-    if not isinstance(estimator, Pipeline):
-        return estimator, None
-    return estimator[-1], estimator[:-1] if len(estimator) > 1 else None
+    fronts: list[Pipeline] = []
+    while True:
+        if hasattr(estimator, "best_estimator_"):
+            estimator = estimator.best_estimator_
+        elif isinstance(estimator, Pipeline):
+            if len(estimator) > 1:
+                fronts.append(estimator[:-1])
+            estimator = estimator[-1]
+        else:
+            break
+    if len(fronts) < 2:
+        return estimator, fronts[0] if fronts else None
+    return estimator, Pipeline([(str(i), front) for i, front in enumerate(fronts)])
 
 
 def transformed(front: Any, X: Any) -> Any:

@@ -132,6 +132,19 @@ class Tail:
             origin, coefficients[:, :rank] / singular[:rank], coefficients[:, rank:]
         )
 
+    def beyond(self, X: Array) -> NDArray[np.bool_]:
+        """Tell in which rows polynomials that the centres do not see are not zero."""
+        coefficients = np.hstack([self.seen, self.unseen])[1:]
+        n = len(coefficients)
+        # Features in which the centres agree have none.
+        constant = np.asarray(np.abs(coefficients).sum(axis=1) == 0)
+        origin = self.origin[:n]
+        away = np.abs(X[:, :n] - origin)
+        moved = away[:, constant] > 1e-12 * np.abs(origin[constant])
+        left = np.abs(polynomial(X, self.origin, self.unseen))
+        size = 1 + away @ np.abs(self.unseen[1:])
+        return np.asarray(moved.any(axis=1) | (left > 1e-9 * size).any(axis=1))
+
 
 def polynomial(X: Array, origin: Array, coefficients: Array) -> Array:
     """Evaluate polynomials given by their coefficients of 1 and x - origin."""

@@ -427,18 +427,19 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         ValueError
             If the estimate is one of least squares, which has no such bound; if
             `norm` is no finite number for each output, 0 or above; if it is left out
-            where the centres are not known, or too few for an estimate.
+            where the centres are not known, or too few for an estimate; if the model
+            was fitted to distances and loaded from a pickle.
 
         Warns
         -----
         UserWarning
             If states are off the manifold: where the power function is larger than at
             any centre that is left out of the others (centres that lie apart do not
-            count), or where no centre is near enough to tell anything.
+            count) or infinite, or where, without a trend, no centre tells anything.
 
         Notes
         -----
-        A pipeline passes this on as ``pipeline[-1].error_bound(
+        Behind the other steps of a pipeline this is ``pipeline[-1].error_bound(
         pipeline[:-1].transform(X))``. The first call takes the time and the memory of
         another factorisation.
         """
@@ -455,8 +456,8 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         norms = self._native_norms(norm)
         diagonal = _bounds.smooth_diagonal(basis.sections, X)
         variance = _bounds.variance(basis, X, self.n_jobs)
-        if self.trend == "linear":
-            variance[_bounds.beyond_centers(X, self.centers_)] = np.inf
+        if basis.tail is not None:
+            variance[basis.tail.beyond(X)] = np.inf
         self._warn_off_manifold(basis, variance, diagonal)
         power = np.sqrt(variance + _bounds.ROUNDING * diagonal)
         with np.errstate(invalid="ignore"):
@@ -567,12 +568,17 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if not hasattr(self, "_norm"):
             basis = self._native_basis()
             degrees = len(self.dual_coef_) - basis.Q.shape[1]
-            if not hasattr(self, "centers_") or degrees < 1:
+            if not hasattr(self, "centers_"):
                 raise ValueError(
-                    "The native norm cannot be estimated from distances to the centres "
-                    f"(centers='precomputed'), nor from {len(self.dual_coef_)} of them "
-                    f"with trend={self.trend!r}, which alone meets so few; give norm, "
-                    "or fit on the states, with more centres."
+                    "The native norm cannot be estimated with centers='precomputed', "
+                    "from distances to the centres alone; give norm, or fit on the "
+                    "states with centers=SeparatedCenterSelector()."
+                )
+            if degrees < 2:
+                raise ValueError(
+                    f"The native norm cannot be estimated from {len(self.dual_coef_)} "
+                    f"centres with trend={self.trend!r}; give norm, or take more "
+                    "centres."
                 )
             dual = self.dual_coef_.reshape(-1, n_outputs)
             self._norm = _bounds.native_norm(
@@ -592,14 +598,16 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             points = getattr(self, "centers_", np.zeros((len(basis.lower), 1)))
             self._reach = _bounds.reach(basis, points)
         off = np.sqrt(variance) > self._reach * (1 + 1e-6)
-        if self.trend is None:
+        off |= np.isinf(variance)
+        if basis.tail is None:
             off |= variance > (1 - 1e-6) * diagonal
         if off.any():
-            limit = (
-                f"at most {self._reach:.2g} at a centre that is left out of the others"
-                if np.isfinite(self._reach)
-                else "no centre tells anything of the others, either: raise beta"
-            )
+            if np.isfinite(self._reach):
+                limit = f"at most {self._reach:.2g} at centres left out of the others"
+            elif len(basis.lower) == 1:
+                limit = "there is one centre only"
+            else:
+                limit = "no centre tells anything of the others, either: raise beta"
             warnings.warn(
                 f"{off.sum()} of {len(off)} states are off the manifold of the "
                 f"centres: the power function is up to {np.sqrt(variance.max()):.2g} "

@@ -164,7 +164,7 @@ def test_power_function_of_one_and_two_centres():
         model.power_function([[1.0], [-2.0]]), np.sqrt([1 - one**2, 1 - two**2])
     )
     assert_allclose(
-        model.error_bound([[1.0], [-1.0]]), 5 * np.sqrt(np.full(2, 1 - one**2))
+        model.error_bound([[1.0], [-1.0]], norm=5), 5 * np.sqrt([1 - one**2] * 2)
     )
     model.fit([[0.0], [2.0]], [1.0, 1.0])
     halfway = np.sqrt(1 - 2 * one**2 / (1 + two))
@@ -399,7 +399,7 @@ def test_states_are_off_the_manifold_beyond_any_centre_left_out(trend, alpha):
     with pytest.warns(UserWarning, match=f"{expected} of 500 states are off") as caught:
         model.error_bound(X_new)
     assert len(caught) == 1
-    numbers = re.findall(r"at most ([\d.e-]+) at a centre", str(caught[0].message))
+    numbers = re.findall(r"at most ([\d.e-]+) at centres", str(caught[0].message))
     assert float(numbers[0]) == pytest.approx(farthest, rel=0.05)
 
 
@@ -553,7 +553,7 @@ def test_a_trend_that_no_centre_tells_has_no_bound():
 
 def test_norm_is_not_estimated_from_centres_that_a_trend_meets():
     model = KoopmanKernelRegressor(trend="linear").fit([[0.0, 1.0], [1.0, 0.0]], [0, 1])
-    with pytest.raises(ValueError, match=r"cannot be estimated from .* nor from 2"):
+    with pytest.raises(ValueError, match="cannot be estimated from 2 centres"):
         model.error_bound([[0.5, 0.5]])
     assert np.isfinite(model.error_bound([[0.5, 0.5]], norm=1.0)).all()
 
@@ -593,3 +593,39 @@ def test_norms_that_are_no_numbers(norm):
     model = KoopmanKernelRegressor().fit([[0.0], [1.0]], [[0.0, 1.0], [1.0, 0.0]])
     with pytest.raises(ValueError, match="norm must be"):
         model.error_bound([[0.5]], norm)
+
+
+def test_directions_that_no_centre_tells_are_found_in_any_unit():
+    rng = np.random.default_rng(0)
+    far = np.column_stack([1.7e9 + np.arange(60.0), rng.random(60), np.zeros(60)])
+    model = KoopmanKernelRegressor(beta=10.0, trend="linear").fit(far, far[:, 1])
+    with pytest.warns(UserWarning, match="off the manifold"):
+        assert model.error_bound([[1.7e9 + 3.5, 0.5, 0.9]], norm=1.0) == np.inf
+    uneven = np.column_stack([1e5 * rng.random(60), 1e-6 * rng.random(60)])
+    model = KoopmanKernelRegressor(
+        Matern(length_scale=[1e5, 1e-6], nu=1.5), trend="linear"
+    ).fit(uneven, uneven[:, 0])
+    with pytest.warns(UserWarning, match="off the manifold"):
+        assert np.isfinite(model.error_bound([[5e4, 2e-4]], norm=1.0)).all()
+    line = np.linspace(0, 1, 20)[:, np.newaxis] * [1.0, 2.0]
+    model = KoopmanKernelRegressor(trend="linear").fit(line, np.sin(line[:, 0]))
+    with pytest.warns(UserWarning, match="1 of 2 states"):
+        bound = model.error_bound([[0.52, 1.04], [0.5, 1.5]], norm=1.0)
+    assert np.isfinite(bound[0])
+    assert bound[1] == np.inf
+
+
+def test_one_centre_makes_no_estimate_of_the_norm():
+    model = KoopmanKernelRegressor().fit([[0.0]], [1.0])
+    with pytest.raises(ValueError, match="cannot be estimated from 1 centres"):
+        model.error_bound([[0.5]])
+    with pytest.warns(UserWarning, match="there is one centre only"):
+        model.error_bound([[1e3]], norm=1.0)
+
+
+def test_bound_is_that_of_the_model_as_it_was_fitted():
+    X = np.linspace(0, 1, 20)[:, np.newaxis]
+    model = KoopmanKernelRegressor(centers="precomputed").fit(cdist(X, X), X[:, 0])
+    bound = model.error_bound(cdist(X, X), norm=1.0)
+    model.set_params(trend="linear")
+    assert_array_equal(model.error_bound(cdist(X, X), norm=1.0), bound)

@@ -35,6 +35,7 @@ from sklearn_koopman import (
 from sklearn_koopman.datasets import make_pendulum
 from sklearn_koopman.diagnostics import (
     _conditioning,
+    _studies,
     calibration_study,
     condition_number,
     conditioning_study,
@@ -1261,7 +1262,7 @@ def test_calibration_of_a_search_and_of_columns():
         40, initial="random", n_trajectories=6, noise=0.01, random_state=0
     )
     model = KoopmanKernelRegressor(beta=3.0, alpha=1e-3)
-    search = GridSearchCV(model, {"alpha": [1e-3]}, cv=2)
+    search = GridSearchCV(model, {"alpha": [1e-3]}, cv=GroupKFold(2))
     direct = calibration_study(model, data.X, data.y, groups=data.groups)
     searched = calibration_study(search, data.X, data.y, groups=data.groups)
     assert searched.ratio == pytest.approx(direct.ratio)
@@ -1322,13 +1323,24 @@ def test_slopes_end_where_rounding_begins(orbit, later):
         *(orbit.X, orbit.y, np.geomspace(0.5, 0.02, 10), later.X, later.y),
         dimension=1,
     )
-    error, size = found.sup_error, np.abs(later.y).max()
-    last = np.flatnonzero(found.used)[-1]
-    assert found.used[: last + 1].all()
-    assert not found.used[last + 1 :].any()
-    assert 1e-12 * size < error[last] < 1e-8 * size
-    assert (error[last + 1 :] > error[last] / 2).all()
     assert found.slope > 7
+
+
+@pytest.mark.parametrize(
+    ("errors", "above"),
+    [
+        ([1e-2, 1e-5, 1e-9, 1e-11, 8e-12, 9e-12], [1, 1, 1, 1, 0, 0]),
+        ([1e-2, 2e-2, 1e-4, 3e-4], [1, 1, 1, 1]),  # scatter far above rounding
+        ([1e-2, 1e-9, 8e-10, 1e-11], [1, 1, 1, 1]),  # a pause, not the end
+        ([1e-2, 1e-7, 1e-13, 1e-11], [1, 1, 0, 0]),
+    ],
+)
+def test_rounding_is_where_errors_no_longer_fall(errors, above):
+    h = np.geomspace(0.5, 0.01, len(errors))
+    backwards = slice(None, None, -1)
+    for order in (slice(None), backwards):
+        found = _studies._above_rounding(h[order], np.array(errors)[order], 1.0)
+        assert_array_equal(found, np.array(above, dtype=bool)[order])
 
 
 def test_fill_distance_along_the_manifold_has_the_same_slope(orbit, later):
@@ -1358,3 +1370,42 @@ def test_states_too_small_for_squares_are_refused():
     ):
         with pytest.raises(ValueError, match="rescale"):
             refused()
+
+
+def test_a_study_points_out_once_that_paths_follow_a_trajectory():
+    X = winding(4000, 0.02)
+    test = np.arange(len(X)) % 5 == 0
+    y = np.sin(X[:, 0])
+    with pytest.warns(UserWarning, match="paths follow the trajectory") as caught:
+        convergence_study(
+            KoopmanKernelRegressor(beta=2.0),
+            *(X[~test], y[~test], [0.9, 0.6, 0.5], X[test], y[test]),
+            metric="geodesic",
+            dimension=2,
+        )
+    assert [warning.filename for warning in caught] == [__file__]
+
+
+def test_searches_learn_of_the_groups_and_nest():
+    data = make_pendulum(30, initial="random", n_trajectories=6, random_state=0)
+    model = KoopmanKernelRegressor(beta=3.0, alpha=1e-3)
+    search = GridSearchCV(model, {"alpha": [1e-3]}, cv=GroupKFold(2))
+    alone = calibration_study(model, data.X, data.y, groups=data.groups)
+    found = calibration_study(search, data.X, data.y, groups=data.groups)
+    assert found.ratio == pytest.approx(alone.ratio)
+    scaled = make_pipeline(StandardScaler(), StandardScaler(), model)
+    nested = make_pipeline(
+        StandardScaler(), GridSearchCV(make_pipeline(StandardScaler(), model), {}, cv=2)
+    )
+    assert calibration_study(nested, data.X, data.y).ratio == pytest.approx(
+        calibration_study(scaled, data.X, data.y).ratio
+    )
+    with pytest.raises(ValueError, match="must not be a search"):
+        convergence_study(search, data.X, data.y, [0.4], data.X, data.y)
+
+
+def test_constants_and_noise_alone_have_no_order():
+    for kernel in (ConstantKernel(), WhiteKernel(), WhiteKernel() * Matern()):
+        assert not sobolev_rates(kernel, 2, 1).applies
+    for kernel in (ConstantKernel() * Matern(nu=1.5), Matern(nu=1.5) + WhiteKernel()):
+        assert sobolev_rates(kernel, 2, 1).sup_exponent == 1.5

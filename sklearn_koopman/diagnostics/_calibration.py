@@ -32,7 +32,8 @@ def calibration_study(
     ----------
     estimator : estimator
         A :class:`~sklearn_koopman.KoopmanKernelRegressor`, or any other whose
-        `predict` has `return_std`, or a pipeline that ends in one. It is not changed.
+        `predict` has `return_std`, or a pipeline that ends in one, or a search of
+        either, which gets `groups` as well. It is not changed.
     X : array-like of shape (n_samples, n_features)
         The states.
     y : array-like of shape (n_samples,) or (n_samples, n_outputs)
@@ -114,7 +115,11 @@ def calibration_study(
     y = np.asarray(y, dtype=np.float64)
     scaled = []  # errors over standard deviations, an array a fold
     for train, test in check_cv(cv).split(X, y, groups):
-        model = clone(estimator).fit(_rows(X, train), y[train])
+        model = clone(estimator)
+        inner = {}
+        if groups is not None and hasattr(model, "refit"):
+            inner["groups"] = np.asarray(groups)[train]
+        model.fit(_rows(X, train), y[train], **inner)
         final, front = unwrap(model)
         if "return_std" not in signature(final.predict).parameters:
             raise ValueError(

@@ -284,8 +284,8 @@ def intrinsic_dimension(
     below its own size. Lower `n_points` looks beyond it. Features should have
     comparable units.
 
-    Near a boundary balls are cut off, which lowers the estimate by more than the
-    standard error says: by some 5 % for a square, 8 % for a cube. Many independent
+    Near a boundary balls are cut off, which lowers the estimate: by some 5 % for a
+    square and 10 % for a cube, which is more than the standard error. Many independent
     samples deserve more `n_points` than the default, which suits trajectories.
 
     A motion that does not come back, as a single stride, is a curve, whatever
@@ -385,20 +385,43 @@ def _separation_distance(centers: Array) -> float:
 def _neighborhoods(centers: Array, reference: Array, n_neighbors: int | None) -> _Graph:
     """Build the graph, and warn where neighbours are only those in time."""
     graph = _Graph(centers, reference, n_neighbors)
-    apart = float(np.median(_return_distances(reference)))
-    # Twice: neighbourhoods have to reach well into the next passage.
-    if np.median(graph.longest) < 2 * apart < 2 * _fill_distance(centers, reference):
-        warnings.warn(
-            f"The {graph.n_neighbors} neighbours of most points are mostly the samples "
-            f"just before and after, while the motion returns at a distance of "
-            f"{apart:.2g}: paths follow the trajectory. If its passages lie on a "
-            "surface rather than on a curve, thin the reference: "
-            f"reference[SeparatedCenterSelector({apart:.2g}).fit(reference)."
-            "center_indices_].",
-            UserWarning,
-            stacklevel=3,
-        )
+    if message := graph.follows(reference, _fill_distance(centers, reference)):
+        warnings.warn(message, UserWarning, stacklevel=3)
     return graph
+
+
+def fill_and_separation(
+    centers: Array, states: Array, others: Array, metric: str
+) -> tuple[float, float, str]:
+    """Compute both distances at once.
+
+    Parameters
+    ----------
+    centers : ndarray of shape (n_centers, n_features)
+        The centres.
+    states : ndarray of shape (n_samples, n_features)
+        States in the order of time.
+    others : ndarray of shape (n_others, n_features)
+        Further states on the manifold.
+    metric : {"euclidean", "geodesic"}
+        As for :func:`fill_distance`.
+
+    Returns
+    -------
+    fill : float
+        The fill distance with respect to all states.
+    separation : float
+        The separation distance.
+    message : str
+        What to warn of, if anything.
+    """
+    reference = np.vstack([states, others])
+    fill = _fill_distance(centers, reference)
+    if not _is_geodesic(metric, None):
+        return fill, _separation_distance(centers), ""
+    graph = _Graph(centers, reference, None)
+    message = graph.follows(states, fill)
+    return graph.fill_distance(), graph.separation_distance(), message
 
 
 class _Graph:
@@ -442,6 +465,21 @@ class _Graph:
                 "by SeparatedCenterSelector."
             )
         return float(self.distance.max())
+
+    def follows(self, trajectory: Array, fill: float) -> str:
+        """Say so if paths follow a trajectory, between passages nearby."""
+        apart = float(np.median(_return_distances(trajectory)))
+        # Twice: neighbourhoods have to reach well into the next passage.
+        if not np.median(self.longest) < 2 * apart < 2 * fill:
+            return ""
+        return (
+            f"The {self.n_neighbors} neighbours of most points are mostly the samples "
+            f"just before and after, while the motion returns at a distance of "
+            f"{apart:.2g}: paths follow the trajectory. If its passages lie on a "
+            "surface rather than on a curve, thin the reference: "
+            f"reference[SeparatedCenterSelector({apart:.2g}).fit(reference)."
+            "center_indices_]."
+        )
 
     def separation_distance(self) -> float:
         if self.equal_centers:

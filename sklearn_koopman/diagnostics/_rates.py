@@ -152,14 +152,18 @@ def _order(kernel: Kernel, n_features: int) -> float:
         return kernel.sobolev_order(n_features)
     if isinstance(kernel, Matern):
         return float(kernel.nu) + n_features / 2
-    # Noise and constants do not make the rest of a sum any rougher.
-    if isinstance(kernel, RBF | RationalQuadratic | ConstantKernel | WhiteKernel):
+    if isinstance(kernel, RBF | RationalQuadratic):
         return np.inf
     # The native space of a sum is the sum of the spaces. The transform of a product is
     # a convolution, and decays as the slower one does.
+    # Constants change neither, nor does noise a sum.
     if isinstance(kernel, Sum | Product):
-        parts = [_order(part, n_features) for part in (kernel.k1, kernel.k2)]
-        return float(np.min(parts))  # NaN if one is
+        neutral: Any = ConstantKernel
+        if isinstance(kernel, Sum):
+            neutral = ConstantKernel | WhiteKernel
+        parts = [k for k in (kernel.k1, kernel.k2) if not isinstance(k, neutral)]
+        orders = [_order(part, n_features) for part in parts]
+        return float(np.min(orders)) if orders else np.nan  # NaN if one is
     if isinstance(kernel, Exponentiation):
         return _order(kernel.kernel, n_features)
     return np.nan

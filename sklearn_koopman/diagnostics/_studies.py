@@ -23,6 +23,7 @@ from sklearn_koopman.diagnostics._conditioning import (
     extreme_eigenvalues,
 )
 from sklearn_koopman.diagnostics._geometry import (
+    fill_and_separation,
     fill_distance,
     intrinsic_dimension,
     separation_distance,
@@ -156,6 +157,7 @@ rms_error, condition_number : ndarray of shape (n_separations,)
     _check_confidence(confidence)
     parameter = _separation_parameter(estimator)
     rates: Any = None
+    warned = False
     lines: list[dict[str, Any]] = []
     previous: Any = None
     for separation in separations:
@@ -183,17 +185,18 @@ rms_error, condition_number : ndarray of shape (n_separations,)
             rates = sobolev_rates(final.kernel_, states.shape[1], dimension)
         exact = final.method == "interpolation"
         centers, nugget = final.centers_, final.alpha if exact else 0.0
-        cover = np.vstack([states, test])
+        fill, apart, message = fill_and_separation(centers, states, test, metric)
+        if message and not warned:
+            warnings.warn(message, UserWarning, stacklevel=2)
+            warned = True
         again = previous is not None and np.array_equal(previous, centers)
         previous = centers
         lines.append(
             {
                 "separation": separation,
                 "n_centers": len(centers),
-                "fill_distance": fill_distance(centers, cover, metric=metric),
-                "separation_distance": separation_distance(
-                    centers, cover, metric=metric
-                ),
+                "fill_distance": fill,
+                "separation_distance": apart,
                 "sup_error": float(error.max()),
                 "rms_error": float(np.sqrt(np.mean(error**2))),
                 "condition_number": condition_number(
@@ -514,6 +517,11 @@ def _slope(
 
 def _separation_parameter(estimator: Any) -> Any:
     """Return the function from a separation to the parameters that set it."""
+    if hasattr(estimator, "refit"):
+        raise ValueError(
+            "estimator must not be a search, which would choose anew for each "
+            "separation; fit it first, and give its best_estimator_."
+        )
     parameters = estimator.get_params()
     names = [
         name
