@@ -20,10 +20,12 @@ ROUNDING = 1e-13
 APART = 0.1
 
 
-def variance(basis: NativeBasis, X: Array, n_jobs: int | None = None) -> Array:
-    """Evaluate the squared power function, without the noise term of a kernel."""
+def variance(
+    basis: NativeBasis, X: Array, smooth: Array, n_jobs: int | None = None
+) -> Array:
+    """Evaluate the squared power function with the `smooth_diagonal` of a kernel."""
     power = _solvers.power(basis, X, n_jobs)
-    noise = basis.sections.diagonal(X) - smooth_diagonal(basis.sections, X)
+    noise = basis.sections.diagonal(X) - smooth
     return np.asarray(np.maximum(power**2 - noise, 0.0))
 
 

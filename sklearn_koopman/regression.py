@@ -455,7 +455,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         basis = self._native_basis()
         norms = self._native_norms(norm)
         diagonal = _bounds.smooth_diagonal(basis.sections, X)
-        variance = _bounds.variance(basis, X, self.n_jobs)
+        variance = _bounds.variance(basis, X, diagonal, self.n_jobs)
         if basis.tail is not None:
             variance[basis.tail.beyond(X)] = np.inf
         self._warn_off_manifold(basis, variance, diagonal)
