@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dtrtri
-from sklearn.utils import gen_batches
 
-from sklearn_koopman import _solvers
-from sklearn_koopman._solvers import KernelSections, NativeBasis, Sections, Tail
+from sklearn_koopman._native import NativeBasis, Tail, power
+from sklearn_koopman._sections import Sections
+from sklearn_koopman._solvers import interpolation
 from sklearn_koopman.centers import farthest_centers
 
 Array = NDArray[np.float64]
@@ -23,22 +23,9 @@ APART = 0.1
 def variance(
     basis: NativeBasis, X: Array, smooth: Array, n_jobs: int | None = None
 ) -> Array:
-    """Evaluate the squared power function with the `smooth_diagonal` of a kernel."""
-    power = _solvers.power(basis, X, n_jobs)
+    """Evaluate the squared power function with the smooth diagonal of a kernel."""
     noise = basis.sections.diagonal(X) - smooth
-    return np.asarray(np.maximum(power**2 - noise, 0.0))
-
-
-def smooth_diagonal(sections: Sections, X: Array) -> Array:
-    """Evaluate k(x, x) as for two states that are equal by chance."""
-    if not isinstance(sections, KernelSections):
-        origin = np.zeros((1, 1))
-        return np.repeat(sections.kernel(origin, origin)[0], len(X))  # type: ignore[attr-defined]
-    parts = [
-        np.diagonal(sections.kernel(X[rows], X[rows]))
-        for rows in gen_batches(len(X), 64)
-    ]
-    return np.concatenate(parts)
+    return np.asarray(np.maximum(power(basis, X, n_jobs) ** 2 - noise, 0.0))
 
 
 def left_out_precision(basis: NativeBasis) -> Array:
@@ -66,7 +53,7 @@ def reach(basis: NativeBasis, centers: Array) -> float:
     all others tell nothing of that; infinite if all of them do.
     """
     squared = 1 / left_out_precision(basis) - basis.excess
-    limit = (1 - APART) * smooth_diagonal(basis.sections, centers)
+    limit = (1 - APART) * basis.sections.smooth_diagonal(centers)
     return (
         float(np.sqrt(max(squared[squared <= limit].max(initial=0.0), 0.0))) or np.inf
     )
@@ -92,6 +79,6 @@ def native_norm(
         degree = 0 if len(tail.seen) == 1 else 1
         tail = Tail.on(centers[half], degree, centers)
     basis = NativeBasis.of(sections.take(half), centers[half], nugget[half], tail)
-    coarse = _solvers.interpolation(centers, values)(basis, half).seminorm
+    coarse = interpolation(centers, values)(basis, half).seminorm
     part = np.divide(coarse, seminorm, out=np.ones_like(seminorm), where=seminorm > 0)
     return np.asarray(seminorm * np.sqrt(2 - np.minimum(part, 1.0) ** 2))

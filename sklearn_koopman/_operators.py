@@ -1,6 +1,6 @@
 """Koopman operators on finite spaces of functions: matrices, spectra and powers.
 
-Everything is in coordinates of a :class:`~sklearn_koopman._solvers.NativeBasis`, whose
+Everything is in coordinates of a :class:`~sklearn_koopman._native.NativeBasis`, whose
 functions are orthonormal in the native space of the kernel: there the matrix of the
 operator is as well conditioned as the operator itself, while the matrix K^-1 K+ that
 acts on coefficients of the kernel sections inherits the condition number of K.
@@ -30,13 +30,9 @@ from scipy.optimize import linear_sum_assignment
 from sklearn.utils import gen_batches
 
 from sklearn_koopman._bounds import left_out_precision
-from sklearn_koopman._solvers import (
-    KernelSections,
-    NativeBasis,
-    evaluate,
-    least_squares,
-    solve_triangular,
-)
+from sklearn_koopman._native import NativeBasis, solve_triangular
+from sklearn_koopman._sections import KernelSections
+from sklearn_koopman._solvers import evaluate, least_squares
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -1,27 +1,24 @@
-"""Linear algebra of kernel estimates: pure functions and values over arrays.
-
-The functions of H_M, the span of the kernel sections of M centres (with a polynomial
-tail, if there is one), are handled in an orthonormal basis of their native space.
-With the Gram matrix K = L L^T, the vector a(x) = L^-1 k(Xi, x) holds the values of
-that basis at x. The function a(x)^T w has the native norm |w| and the coefficients
-L^-T w on the kernel sections. So interpolation is w = L^-1 u, and least squares over
-H_M is an ordinary ridge regression on a(x), whose matrix has the square root of the
-condition number that the kernel sections themselves would give it.
-"""
+"""Estimates in the span of the kernel sections: pure functions of arrays."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
-from joblib import effective_n_jobs
 from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm, dnrm2
-from scipy.linalg.lapack import dpocon, dpotrf, dpotri, dpotrs, dpstrf, dtrtrs
+from scipy.linalg.lapack import dpocon, dpotrf, dpotri, dpotrs, dpstrf
 from sklearn.utils import gen_batches
-from sklearn.utils.parallel import Parallel, delayed
+
+from sklearn_koopman._native import (
+    NativeBasis,
+    Tail,
+    block_rows,
+    polynomial,
+    solve_triangular,
+)
+from sklearn_koopman._sections import Sections, gram_matrix, product
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -29,14 +26,8 @@ Indices = NDArray[np.intp]
 # The loop of least squares stays with SciPy's BLAS: NumPy's wheels bring one of their
 # own, and the idle threads of either slow down the other several times.
 
-# Entries of a tile of a kernel matrix: 128 kB, so that the few arrays that evaluating
-# a kernel takes stay in the cache, and are not mapped anew by the operating system
-# (which makes larger ones two to three times as slow).
-TILE = 2**14
 # Below this reciprocal condition number a solution is verified before it is used.
 SUSPECT = 1e-10
-# Below this one the factorisation succeeded by chance, and its last rows mean nothing.
-SINGULAR = 1e-17
 # Largest error, relative to the values to be met, that passes the verification. Large
 # coefficients of alternating sign cost smooth kernels this much without harm, while
 # leaving out more centres would cost them more.
@@ -45,204 +36,6 @@ ACCURACY = 1e-6
 
 class UnsuitableKernelError(ValueError):
     """The kernel has no Gram matrix that an estimate could be made with."""
-
-
-class Sections(Protocol):
-    """The kernel sections of M centres, as a function from rows to (rows, M)."""
-
-    def __call__(self, X: Array) -> Array: ...
-
-    def take(self, kept: Indices) -> Sections:
-        """Return the sections of some of the centres."""
-
-    def diagonal(self, X: Array) -> Array:
-        """Return k(x, x) for every row."""
-
-
-@dataclass(frozen=True)
-class KernelSections:
-    """Kernel sections of centres given by their coordinates."""
-
-    kernel: Any
-    centers: Array
-
-    def __call__(self, X: Array) -> Array:
-        return self.kernel(X, self.centers)
-
-    def take(self, kept: Indices) -> KernelSections:
-        return KernelSections(self.kernel, self.centers[kept])
-
-    def diagonal(self, X: Array) -> Array:
-        return self.kernel.diag(X)
-
-
-@dataclass(frozen=True)
-class DistanceSections:
-    """Sections of an isotropic kernel, where rows hold distances to the centres."""
-
-    kernel: Any
-    columns: Indices
-
-    def __call__(self, X: Array) -> Array:
-        distances = X[:, self.columns]
-        # On a line, the distance from the origin is all that there is to a point.
-        values = self.kernel(distances.reshape(-1, 1), np.zeros((1, 1)))
-        return values.reshape(distances.shape)
-
-    def take(self, kept: Indices) -> DistanceSections:
-        return DistanceSections(self.kernel, self.columns[kept])
-
-    def diagonal(self, X: Array) -> Array:
-        return np.repeat(self.kernel.diag(np.zeros((1, 1))), len(X))
-
-
-@dataclass(frozen=True)
-class Tail:
-    """Polynomials of degree 0 or 1, sorted by what the centres tell of them.
-
-    As coefficients of the monomials, which are 1, and x - origin for degree 1: `seen`
-    holds q polynomials that are orthonormal on the centres, `unseen` those that vanish
-    there, as some do where the centres are few or a feature is constant on them.
-    """
-
-    origin: Array
-    seen: Array  # (n_terms, q)
-    unseen: Array  # (n_terms, n_terms - q)
-
-    @classmethod
-    def on(cls, centers: Array, degree: int, rows: Array) -> Tail:
-        n_centers, n_features = centers.shape
-        if degree == 0:
-            seen = np.full((1, 1), 1 / np.sqrt(n_centers))
-            return cls(np.zeros(n_features), seen, np.empty((1, 0)))
-        origin = centers.mean(axis=0)
-        scale = np.abs(rows - origin).max(axis=0)
-        # What rounding leaves of a constant feature is no direction to extrapolate in.
-        varies = scale > 1e-13 * np.abs(origin)
-        inverse = np.divide(1.0, scale, out=np.zeros(n_features), where=varies)
-        monomials = np.hstack([np.ones((n_centers, 1)), (centers - origin) * inverse])
-        # All directions, also those that few centres do not see.
-        few = n_centers <= n_features
-        _, singular, directions = np.linalg.svd(monomials, full_matrices=few)
-        rank = int((singular > 1e-10 * singular[0]).sum())
-        coefficients = np.vstack(
-            [directions.T[:1], directions.T[1:] * inverse[:, None]]
-        )
-        return cls(
-            origin, coefficients[:, :rank] / singular[:rank], coefficients[:, rank:]
-        )
-
-    def beyond(self, X: Array) -> NDArray[np.bool_]:
-        """Tell in which rows polynomials that the centres do not see are not zero."""
-        coefficients = np.hstack([self.seen, self.unseen])[1:]
-        n = len(coefficients)
-        # Features in which the centres agree have none.
-        constant = np.asarray(np.abs(coefficients).sum(axis=1) == 0)
-        origin = self.origin[:n]
-        away = np.abs(X[:, :n] - origin)
-        moved = away[:, constant] > 1e-12 * np.abs(origin[constant])
-        left = np.abs(polynomial(X, self.origin, self.unseen))
-        size = 1 + away @ np.abs(self.unseen[1:])
-        return np.asarray(moved.any(axis=1) | (left > 1e-9 * size).any(axis=1))
-
-
-def polynomial(X: Array, origin: Array, coefficients: Array) -> Array:
-    """Evaluate polynomials given by their coefficients of 1 and x - origin."""
-    if len(coefficients) == 1:
-        return np.repeat(coefficients, len(X), axis=0)
-    return coefficients[0] + (X - origin) @ coefficients[1:]
-
-
-@dataclass(frozen=True)
-class NativeBasis:
-    """Orthonormal basis of H_M, with or without a polynomial tail.
-
-    With the polynomials p that the centres see, and L^-1 P(Xi) = Q R, an estimate is
-    a(x)^T z + t(x)^T b with t(x) = R^-T p(x) and z orthogonal to Q: then the
-    coefficients L^-T z of the sections are orthogonal to the polynomials on the
-    centres, and |z| is the native seminorm.
-    """
-
-    sections: Sections
-    lower: Array  # in Fortran order; its strict upper triangle has no meaning
-    excess: Array  # what the diagonal of the matrix has over that of the sections
-    rcond: float
-    tail: Tail | None
-    Q: Array  # (M, q), with q = 0 where there is no tail
-    R: Array
-
-    @classmethod
-    def of(
-        cls, sections: Sections, points: Array, nugget: Array, tail: Tail | None
-    ) -> NativeBasis:
-        """Factor the Gram matrix at the centres plus a diagonal `nugget`."""
-        K, excess, norm = gram_matrix(sections, points, nugget)
-        lower, info = dpotrf(K, lower=1, clean=0, overwrite_a=1)
-        if info != 0:
-            raise np.linalg.LinAlgError("the Gram matrix is not positive definite")
-        rcond = float(dpocon(lower, norm, uplo="L")[0])
-        if rcond < SINGULAR:
-            raise np.linalg.LinAlgError("the Gram matrix is numerically singular")
-        P = np.empty((len(points), 0))
-        if tail is not None:
-            P = polynomial(points, tail.origin, tail.seen)
-            P = solve_triangular(lower, P)
-        Q, R = np.linalg.qr(P)
-        return cls(sections, lower, excess, rcond, tail, Q, R)
-
-    def values(self, X: Array) -> tuple[Array, Array]:
-        """Evaluate a(x), of shape (M, rows), and t(x), of shape (q, rows)."""
-        K = matrix(self.sections, X, len(self.lower))
-        a = solve_triangular(self.lower, K.T, overwrite=True)
-        if self.tail is None:
-            return a, np.empty((0, len(X)))
-        p = polynomial(X, self.tail.origin, self.tail.seen)
-        return a, np.asarray(np.linalg.solve(self.R.T, p.T), dtype=np.float64)
-
-    def variance(self, X: Array) -> Array:
-        """Evaluate the squared power function."""
-        a, t = self.values(X)
-        variance = self.sections.diagonal(X) - np.einsum("ij,ij->j", a, a)
-        if self.tail is not None:
-            t -= dgemm(1.0, self.Q, a, trans_a=1)
-            variance += np.einsum("ij,ij->j", t, t)
-        return np.maximum(variance, 0.0)
-
-    def functions(self, X: Array) -> Array:
-        """Evaluate a basis of all estimates, of shape (dimension, rows).
-
-        It is a(x) with the polynomials in the place of its part along Q, which makes
-        L^-1 u the coordinates of the interpolant of u; then the polynomials that the
-        centres do not see.
-        """
-        a, t = _design(self, X)
-        q = self.Q.shape[1]
-        return np.vstack([dgemm(1.0, self.Q, t[:q], 1.0, a), t[q:]]) if q else a
-
-    def coordinates(self, z: Array, b: Array) -> Array:
-        """Turn the coordinates z and b into those in the basis of `functions`."""
-        q = self.Q.shape[1]
-        return np.vstack([z + self.Q @ b[:q], b[q:]])
-
-    def expand(self, v: Array) -> tuple[Array, Array]:
-        """Turn coordinates into coefficients of the sections and of the monomials."""
-        M = len(self.lower)
-        b = self.Q.T @ v[:M]
-        return self.coefficients(v[:M] - self.Q @ b, np.vstack([b, v[M:]]))
-
-    def coefficients(self, z: Array, b: Array) -> tuple[Array, Array]:
-        """Turn coordinates into coefficients of the sections and of the monomials.
-
-        Entries of b beyond q belong to the polynomials that the centres do not see.
-        """
-        dual = solve_triangular(self.lower, z, transpose=True)
-        if not np.isfinite(dual).all():
-            raise np.linalg.LinAlgError("the coefficients are not finite")
-        if self.tail is None:
-            return dual, np.empty((0, z.shape[1]))
-        q = len(self.R)
-        trend = self.tail.seen @ np.linalg.solve(self.R, b[:q])
-        return dual, trend + self.tail.unseen[:, : len(b) - q] @ b[q:]
 
 
 @dataclass(frozen=True)
@@ -290,7 +83,7 @@ def regression(X: Array, y: Array, alpha: float) -> Rule:
         error = 0.0
         if basis.rcond < SUSPECT:
             rows = X[:: max(len(X) // 64, 1)]
-            a, t = _design(basis, rows)
+            a, t = basis.design(rows)
             reached = evaluate(basis.sections, basis.tail, rows, dual, trend)
             error = _relative_error(reached, a.T @ z + t.T @ b)
         return Solution(basis, kept, dual, trend, column_norms(z), freedom, error)
@@ -335,8 +128,8 @@ def least_squares(
     n_terms = 0 if basis.tail is None else len(basis.tail.seen)
     Ay, AT = np.zeros((M, n_outputs)), np.zeros((M, n_terms))
     Ty, TT = np.zeros((n_terms, n_outputs)), np.zeros((n_terms, n_terms))
-    for rows in gen_batches(len(X), _block_rows(M)):
-        a, t = _design(basis, X[rows])
+    for rows in gen_batches(len(X), block_rows(M)):
+        a, t = basis.design(X[rows])
         values = y(rows)
         Ay += dgemm(1.0, a, values)
         if n_terms:
@@ -395,16 +188,6 @@ def least_squares(
     return z, b, freedom
 
 
-def _design(basis: NativeBasis, X: Array) -> tuple[Array, Array]:
-    """Return a(x) less its part along Q, and the values of all polynomials."""
-    a, t = basis.values(X)
-    if basis.tail is None:
-        return a, t
-    along = dgemm(1.0, basis.Q, a, trans_a=1)
-    a = dgemm(-1.0, basis.Q, along, 1.0, a, overwrite_c=1)
-    return a, np.vstack([t, polynomial(X, basis.tail.origin, basis.tail.unseen).T])
-
-
 def solve(
     sections: Sections,
     points: Array,
@@ -452,40 +235,6 @@ def solve(
         kept = independent_centers(sections, points, nugget, tolerance)
 
 
-def matrix(sections: Sections, X: Array, n_columns: int) -> Array:
-    """Evaluate k(X, Xi) tile by tile: evaluating a kernel takes several arrays."""
-    K = np.empty((len(X), n_columns))
-    for rows in gen_batches(len(X), _tile_rows(n_columns)):
-        K[rows] = sections(X[rows])
-    return K
-
-
-def gram_matrix(
-    sections: Sections, points: Array, nugget: Array
-) -> tuple[Array, Array, float]:
-    """Assemble the Gram matrix plus a diagonal in Fortran order.
-
-    Returns
-    -------
-    K : ndarray of shape (M, M)
-        The matrix.
-    excess : ndarray of shape (M,)
-        What its diagonal has over the sections: the nugget, and a noise term of the
-        kernel, which counts here and nowhere else.
-    norm : float
-        Its 1-norm.
-    """
-    n = len(points)
-    K = matrix(sections, points, n)
-    diagonal = sections.diagonal(points) + nugget
-    excess = diagonal - K.diagonal()
-    K[np.diag_indices(n)] = diagonal
-    norms = [
-        np.abs(K[rows]).sum(axis=1).max() for rows in gen_batches(n, _tile_rows(n))
-    ]
-    return K.T, excess, float(np.max(norms))
-
-
 def independent_centers(
     sections: Sections, points: Array, nugget: Array, tolerance: float
 ) -> Indices:
@@ -507,33 +256,6 @@ def independent_centers(
     return np.sort(order[:rank]).astype(np.intp)
 
 
-def evaluate(
-    sections: Sections,
-    tail: Tail | None,
-    X: Array,
-    dual: Array,
-    trend: Array,
-    n_jobs: int | None = None,
-) -> Array:
-    """Evaluate k(X, Xi) @ dual without holding k(X, Xi), and add the polynomials."""
-    M, n_columns = dual.shape
-    if n_columns < 64:
-        values = _by_rows(lambda rows: sections(rows) @ dual, X, _tile_rows(M), n_jobs)
-    else:  # the product takes longer than the kernel, and likes more rows
-        values = _by_rows(
-            lambda rows: matrix(sections, rows, M) @ dual, X, _block_rows(M), n_jobs
-        )
-    if tail is not None:
-        values += polynomial(X, tail.origin, trend)
-    return values
-
-
-def power(basis: NativeBasis, X: Array, n_jobs: int | None = None) -> Array:
-    """Evaluate the power function."""
-    n_rows = _block_rows(len(basis.lower))
-    return np.sqrt(_by_rows(basis.variance, X, n_rows, n_jobs))
-
-
 def column_norms(A: Array) -> Array:
     """Return the Euclidean norms of the columns, whatever their unit."""
     return np.array([dnrm2(column) for column in A.T])
@@ -543,34 +265,16 @@ def _relative_error(reached: Array, wanted: Array) -> float:
     return float(np.abs(reached - wanted).max() / (np.abs(wanted).max() or 1.0))
 
 
-def _by_rows(
-    function: Callable[[Array], Array], X: Array, n_rows: int, n_jobs: int | None
+def evaluate(
+    sections: Sections,
+    tail: Tail | None,
+    X: Array,
+    dual: Array,
+    trend: Array,
+    n_jobs: int | None = None,
 ) -> Array:
-    """Apply a function to blocks of rows, on threads if asked, and join the results."""
-    blocks = gen_batches(len(X), n_rows)
-    if effective_n_jobs(n_jobs) == 1:
-        return np.concatenate([function(X[rows]) for rows in blocks])
-    parts = Parallel(n_jobs=n_jobs, prefer="threads")(
-        delayed(function)(X[rows]) for rows in blocks
-    )
-    return np.concatenate(parts)
-
-
-def _tile_rows(n_columns: int) -> int:
-    return max(TILE // n_columns, 1)
-
-
-def _block_rows(n_columns: int) -> int:
-    # A triangular solve reads the whole factor: more rows a time than in a tile.
-    return max(16 * TILE // n_columns, n_columns // 16, 1)
-
-
-def solve_triangular(
-    lower: Array, b: Array, *, transpose: bool = False, overwrite: bool = False
-) -> Array:
-    x, info = dtrtrs(
-        lower, b, lower=1, trans=int(transpose), overwrite_b=int(overwrite)
-    )
-    if info != 0:
-        raise np.linalg.LinAlgError("the Gram matrix is singular")
-    return x
+    """Evaluate k(X, Xi) @ dual and add the polynomials."""
+    values = product(sections, X, dual, n_jobs)
+    if tail is not None:
+        values += polynomial(X, tail.origin, trend)
+    return values

@@ -33,7 +33,7 @@ T = TypeVar("T")
 
 # Beyond this many scales every profile has decayed, and its polynomial factors still
 # fit in a double: inf * 0 = nan would follow from distances that overflow.
-_FAR = 1e75
+FAR = 1e75
 
 
 class RadialKernel(
@@ -70,15 +70,18 @@ class RadialKernel(
         return np.inf
 
     @abstractmethod
-    def profile(self, r: Array, n_features: int) -> Array:
+    def profile(self, r: Array, n_features: int, out: Array | None = None) -> Array:
         """Evaluate phi.
 
         Parameters
         ----------
         r : ndarray
-            Distances in units of `beta`; not written to.
+            Distances in units of `beta`. Overwritten where `out` is given, so that no
+            further array is needed.
         n_features : int
             Dimension of the space that the distances come from.
+        out : ndarray of the shape of `r`, default=None
+            Where to write the values.
 
         Returns
         -------
@@ -175,7 +178,7 @@ class RadialKernel(
         X = X / self.beta
         Y = X if Y is None else np.atleast_2d(np.asarray(Y, dtype=float)) / self.beta
         r = cdist(X, Y)
-        return np.minimum(r, _FAR, out=r)
+        return np.minimum(r, FAR, out=r)
 
 
 class MaternSobolev(RadialKernel):
@@ -243,10 +246,15 @@ class MaternSobolev(RadialKernel):
         super().__init__(beta, beta_bounds)
         self.nu = nu
 
-    def profile(self, r: Array, n_features: int) -> Array:
+    def profile(self, r: Array, n_features: int, out: Array | None = None) -> Array:
         value, _ = self._polynomials()
-        z = np.sqrt(2 * self.nu) * r
-        return _horner(value, z) * np.exp(-z)
+        r, out = _arrays(r, out)
+        r *= np.sqrt(2 * self.nu)
+        _horner(value, r, out)
+        np.negative(r, out=r)
+        np.exp(r, out=r)
+        out *= r
+        return out
 
     def log_gradient(self, r: Array, n_features: int) -> Array:
         _, difference = self._polynomials()
@@ -350,10 +358,20 @@ class Wendland(RadialKernel):
         """Distance from which on the kernel is zero: `beta`."""
         return self.beta
 
-    def profile(self, r: Array, n_features: int) -> Array:
+    def profile(self, r: Array, n_features: int, out: Array | None = None) -> Array:
         power, q = self._polynomial(n_features)
-        inside = np.minimum(r, 1.0)
-        return (1 - inside) ** power * _horner(q, inside)
+        r, out = _arrays(r, out)
+        np.minimum(r, 1.0, out=r)
+        _horner(q, r, out)
+        np.subtract(1.0, r, out=r)
+        # By squaring: NumPy's own power of floats is many times as slow.
+        while True:
+            power, odd = divmod(power, 2)
+            if odd:
+                out *= r
+            if not power:
+                return out
+            r *= r
 
     def log_gradient(self, r: Array, n_features: int) -> Array:
         power, q = self._polynomial(n_features)
@@ -418,8 +436,11 @@ class Gaussian(RadialKernel):  # numpydoc ignore=PR02
     array([[0.6065]])
     """
 
-    def profile(self, r: Array, n_features: int) -> Array:
-        return np.exp(-0.5 * r**2)
+    def profile(self, r: Array, n_features: int, out: Array | None = None) -> Array:
+        r, out = _arrays(r, out)
+        r *= r
+        r *= -0.5
+        return np.exp(r, out=out)
 
     def log_gradient(self, r: Array, n_features: int) -> Array:
         return r**2 * np.exp(-0.5 * r**2)
@@ -463,8 +484,12 @@ class InverseMultiquadric(RadialKernel):  # numpydoc ignore=PR02
     array([[0.7071]])
     """
 
-    def profile(self, r: Array, n_features: int) -> Array:
-        return 1 / np.sqrt(1 + r**2)
+    def profile(self, r: Array, n_features: int, out: Array | None = None) -> Array:
+        r, out = _arrays(r, out)
+        r *= r
+        r += 1.0
+        np.sqrt(r, out=r)
+        return np.divide(1.0, r, out=out)
 
     def log_gradient(self, r: Array, n_features: int) -> Array:
         return r**2 / (1 + r**2) ** 1.5
@@ -532,11 +557,19 @@ def as_kernel(kernel: Any, beta: float | None, n_features: int | None) -> Kernel
     return kernel
 
 
-def _horner(coefficients: tuple[float, ...], x: Array) -> Array:
+def _arrays(r: Array, out: Array | None) -> tuple[Array, Array]:
+    """Return an array of distances to write to, and one for the values."""
+    if out is None:
+        return np.array(r, dtype=np.float64), np.empty(np.shape(r))
+    return r, out
+
+
+def _horner(
+    coefficients: tuple[float, ...], x: Array, out: Array | None = None
+) -> Array:
     """Evaluate the polynomial with these coefficients in rising powers of x."""
-    if not coefficients:
-        return np.zeros_like(x)
-    value = np.full_like(x, coefficients[-1])
+    value = np.empty_like(x) if out is None else out
+    value[...] = coefficients[-1] if coefficients else 0.0
     for coefficient in coefficients[-2::-1]:
         value *= x
         value += coefficient

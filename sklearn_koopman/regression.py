@@ -13,6 +13,8 @@ from sklearn.utils import check_X_y
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_koopman import _bounds, _solvers
+from sklearn_koopman._native import NativeBasis, power
+from sklearn_koopman._sections import DistanceSections, KernelSections, Sections
 from sklearn_koopman._validation import check_number
 from sklearn_koopman.centers import (
     check_distances,
@@ -246,7 +248,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         outputs = y.reshape(len(y), -1)
         interpolates = self.method == "interpolation"
         rows: Indices | None
-        sections: _solvers.Sections
+        sections: Sections
         weight: float | Array = self.alpha
         if self._precomputed:
             if not _is_isotropic(kernel):
@@ -256,7 +258,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 )
             rows = rows_at_distance_zero(X)
             points = X[rows]
-            sections = _solvers.DistanceSections(kernel, np.arange(X.shape[1]))
+            sections = DistanceSections(kernel, np.arange(X.shape[1]))
         elif self.centers is None:
             # Least squares over the sections of all rows is interpolation with alpha.
             exact = interpolates and self.alpha == 0
@@ -264,10 +266,10 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             rows, outputs, counts = _merge_equal_rows(X, outputs, exact)
             weight = self.alpha / counts
             points = X[rows]
-            sections = _solvers.KernelSections(kernel, points)
+            sections = KernelSections(kernel, points)
         else:
             points, rows = choose_centers(self.centers, X, y, among_rows=interpolates)
-            sections = _solvers.KernelSections(kernel, points)
+            sections = KernelSections(kernel, points)
 
         nugget = np.zeros(len(points))
         if interpolates:
@@ -355,9 +357,9 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         y = self._evaluate(X).reshape((len(X), *self.dual_coef_.shape[1:]))
         if not return_std:
             return y
-        power = _solvers.power(self._native_basis(), X, self.n_jobs)
-        power = power.reshape((-1,) + (1,) * (self.dual_coef_.ndim - 1))
-        return y, np.hypot(self.amplitude_ * power, self.noise_)
+        P = power(self._native_basis(), X, self.n_jobs)
+        P = P.reshape((-1,) + (1,) * (self.dual_coef_.ndim - 1))
+        return y, np.hypot(self.amplitude_ * P, self.noise_)
 
     def power_function(self, X: Any) -> Array:
         """Evaluate the power function, which bounds the error of interpolation.
@@ -389,7 +391,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             If the model was fitted to distances and loaded from a pickle.
         """
         check_is_fitted(self)
-        return _solvers.power(self._native_basis(), self._validated(X), self.n_jobs)
+        return power(self._native_basis(), self._validated(X), self.n_jobs)
 
     def error_bound(self, X: Any, norm: Any = None) -> Array:
         """Bound the error of the prediction at each state.
@@ -454,15 +456,15 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         X = self._validated(X)
         basis = self._native_basis()
         norms = self._native_norms(norm)
-        diagonal = _bounds.smooth_diagonal(basis.sections, X)
+        diagonal = basis.sections.smooth_diagonal(X)
         variance = _bounds.variance(basis, X, diagonal, self.n_jobs)
         if basis.tail is not None:
             variance[basis.tail.beyond(X)] = np.inf
         self._warn_off_manifold(basis, variance, diagonal)
-        power = np.sqrt(variance + _bounds.ROUNDING * diagonal)
+        P = np.sqrt(variance + _bounds.ROUNDING * diagonal)
         with np.errstate(invalid="ignore"):
-            bound = np.outer(power, norms)
-        bound[np.isinf(power)] = np.inf
+            bound = np.outer(P, norms)
+        bound[np.isinf(P)] = np.inf
         return bound.reshape((len(X), *self.dual_coef_.shape[1:]))
 
     def __getstate__(self) -> dict[str, Any]:
@@ -517,7 +519,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.dual_coef_ = shaped(solution.dual)
         self.rcond_ = basis.rcond
         self._sections = basis.sections
-        if isinstance(self._sections, _solvers.KernelSections):
+        if isinstance(self._sections, KernelSections):
             self.centers_ = self._sections.centers
         self._nugget = nugget[kept]
         self._tail = basis.tail
@@ -548,7 +550,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     def _validated(self, X: Any) -> Array:
         X = validate_data(self, X, reset=False, dtype=np.float64)
-        if isinstance(self._sections, _solvers.DistanceSections):
+        if isinstance(self._sections, DistanceSections):
             check_distances(X)
         return X
 
@@ -592,7 +594,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         return self._norm
 
     def _warn_off_manifold(
-        self, basis: _solvers.NativeBasis, variance: Array, diagonal: Array
+        self, basis: NativeBasis, variance: Array, diagonal: Array
     ) -> None:
         if not hasattr(self, "_reach"):
             points = getattr(self, "centers_", np.zeros((len(basis.lower), 1)))
@@ -617,9 +619,9 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 stacklevel=3,
             )
 
-    def _native_basis(self) -> _solvers.NativeBasis:
+    def _native_basis(self) -> NativeBasis:
         if not hasattr(self, "_basis"):
-            if isinstance(self._sections, _solvers.DistanceSections):
+            if isinstance(self._sections, DistanceSections):
                 raise ValueError(
                     "With centers='precomputed' the distances between the centres are "
                     "not pickled, so that a loaded model has no power function or "
@@ -627,7 +629,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                     "centers=SeparatedCenterSelector()."
                 )
             try:
-                self._basis = _solvers.NativeBasis.of(
+                self._basis = NativeBasis.of(
                     self._sections, self.centers_, self._nugget, self._tail
                 )
             except np.linalg.LinAlgError as error:

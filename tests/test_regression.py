@@ -639,7 +639,8 @@ def test_no_solution_is_used_that_misses_its_values():
     np.linalg.cholesky(KERNELS["wendland_c6"](beta=3.0)(X))
     with pytest.warns(LinAlgWarning, match="centres that depend"):
         model = KoopmanKernelRegressor("wendland_c6", beta=3.0).fit(X, y)
-    assert_allclose(model.predict(model.centers_), y[model.center_indices_], atol=1e-6)
+    missed = model.predict(model.centers_) - y[model.center_indices_]
+    assert np.abs(missed).max() <= 1e-6 * np.abs(y).max()
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -14,7 +14,7 @@ from scipy.linalg.lapack import dpotrs
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 from sklearn.utils import check_array
 
-from sklearn_koopman import _solvers
+from sklearn_koopman._sections import KernelSections, gram_matrix
 from sklearn_koopman._validation import check_number
 from sklearn_koopman.kernels import as_kernel
 
@@ -206,8 +206,8 @@ def extreme_eigenvalues(
     check_number(alpha, "alpha")
     points = check_array(centers, dtype=np.float64, input_name="centers")
     resolved = as_kernel(kernel, beta, points.shape[1])
-    K, _, norm = _solvers.gram_matrix(
-        _solvers.KernelSections(resolved, points), points, np.full(len(points), alpha)
+    K, _, norm = gram_matrix(
+        KernelSections(resolved, points), points, np.full(len(points), alpha)
     )
     if not np.isfinite(norm):
         raise ValueError(
@@ -218,20 +218,22 @@ def extreme_eigenvalues(
 
 
 def _extremes(K: Array) -> tuple[float, float]:
-    """Return the extreme eigenvalues of a symmetric matrix in Fortran order."""
+    """Return the extreme eigenvalues of a matrix given by its lower triangle."""
     n = len(K)
     if n <= DENSE:
-        values = eigvalsh(K)
+        values = eigvalsh(K, check_finite=False)
         return _told(float(values[0]), float(values[-1]), n)
     largest = _largest(lambda x: dsymv(1.0, K, x, lower=1), n)
     if largest is None:
-        largest = float(eigvalsh(K, subset_by_index=[n - 1, n - 1])[0])
+        largest = float(
+            eigvalsh(K, subset_by_index=[n - 1, n - 1], check_finite=False)[0]
+        )
     inverse = None
     with suppress(np.linalg.LinAlgError):
         factor = cholesky(K, lower=True, check_finite=False)
         inverse = _largest(lambda x: dpotrs(factor, x, lower=1)[0].ravel(), n)
     if inverse is None:  # not positive definite, or without an end to its spectrum
-        smallest = float(eigvalsh(K, subset_by_index=[0, 0])[0])
+        smallest = float(eigvalsh(K, subset_by_index=[0, 0], check_finite=False)[0])
     else:
         smallest = 1 / inverse
     return _told(smallest, largest, n)

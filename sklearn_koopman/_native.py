@@ -1,0 +1,208 @@
+"""Orthonormal bases of native spaces.
+
+The functions of H_M, the span of the kernel sections of M centres (with a polynomial
+tail, if there is one), are handled in an orthonormal basis of their native space.
+With the Gram matrix K = L L^T, the vector a(x) = L^-1 k(Xi, x) holds the values of
+that basis at x. The function a(x)^T w has the native norm |w| and the coefficients
+L^-T w on the kernel sections. So interpolation is w = L^-1 u, and least squares over
+H_M is an ordinary ridge regression on a(x), whose matrix has the square root of the
+condition number that the kernel sections themselves would give it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.blas import dgemm
+from scipy.linalg.lapack import dpocon, dpotrf, dtrtrs
+
+from sklearn_koopman._sections import Sections, by_rows, gram_matrix, matrix
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+# Below this reciprocal condition number the factorisation succeeded by chance, and its
+# last rows mean nothing.
+SINGULAR = 1e-17
+
+
+@dataclass(frozen=True)
+class Tail:
+    """Polynomials of degree 0 or 1, sorted by what the centres tell of them.
+
+    As coefficients of the monomials, which are 1, and x - origin for degree 1: `seen`
+    holds q polynomials that are orthonormal on the centres, `unseen` those that vanish
+    there, as some do where the centres are few or a feature is constant on them.
+    """
+
+    origin: Array
+    seen: Array  # (n_terms, q)
+    unseen: Array  # (n_terms, n_terms - q)
+
+    @classmethod
+    def on(cls, centers: Array, degree: int, rows: Array) -> Tail:
+        n_centers, n_features = centers.shape
+        if degree == 0:
+            seen = np.full((1, 1), 1 / np.sqrt(n_centers))
+            return cls(np.zeros(n_features), seen, np.empty((1, 0)))
+        origin = centers.mean(axis=0)
+        scale = np.abs(rows - origin).max(axis=0)
+        # What rounding leaves of a constant feature is no direction to extrapolate in.
+        varies = scale > 1e-13 * np.abs(origin)
+        inverse = np.divide(1.0, scale, out=np.zeros(n_features), where=varies)
+        monomials = np.hstack([np.ones((n_centers, 1)), (centers - origin) * inverse])
+        # All directions, also those that few centres do not see.
+        few = n_centers <= n_features
+        _, singular, directions = np.linalg.svd(monomials, full_matrices=few)
+        rank = int((singular > 1e-10 * singular[0]).sum())
+        coefficients = np.vstack(
+            [directions.T[:1], directions.T[1:] * inverse[:, None]]
+        )
+        return cls(
+            origin, coefficients[:, :rank] / singular[:rank], coefficients[:, rank:]
+        )
+
+    def beyond(self, X: Array) -> NDArray[np.bool_]:
+        """Tell in which rows polynomials that the centres do not see are not zero."""
+        coefficients = np.hstack([self.seen, self.unseen])[1:]
+        n = len(coefficients)
+        # Features in which the centres agree have none.
+        constant = np.asarray(np.abs(coefficients).sum(axis=1) == 0)
+        origin = self.origin[:n]
+        away = np.abs(X[:, :n] - origin)
+        moved = away[:, constant] > 1e-12 * np.abs(origin[constant])
+        left = np.abs(polynomial(X, self.origin, self.unseen))
+        size = 1 + away @ np.abs(self.unseen[1:])
+        return np.asarray(moved.any(axis=1) | (left > 1e-9 * size).any(axis=1))
+
+
+def polynomial(X: Array, origin: Array, coefficients: Array) -> Array:
+    """Evaluate polynomials given by their coefficients of 1 and x - origin."""
+    if len(coefficients) == 1:
+        return np.repeat(coefficients, len(X), axis=0)
+    return coefficients[0] + (X - origin) @ coefficients[1:]
+
+
+@dataclass(frozen=True)
+class NativeBasis:
+    """Orthonormal basis of H_M, with or without a polynomial tail.
+
+    With the polynomials p that the centres see, and L^-1 P(Xi) = Q R, an estimate is
+    a(x)^T z + t(x)^T b with t(x) = R^-T p(x) and z orthogonal to Q: then the
+    coefficients L^-T z of the sections are orthogonal to the polynomials on the
+    centres, and |z| is the native seminorm.
+    """
+
+    sections: Sections
+    lower: Array  # in Fortran order; its strict upper triangle has no meaning
+    excess: Array  # what the diagonal of the matrix has over that of the sections
+    rcond: float
+    tail: Tail | None
+    Q: Array  # (M, q), with q = 0 where there is no tail
+    R: Array
+
+    @classmethod
+    def of(
+        cls, sections: Sections, points: Array, nugget: Array, tail: Tail | None
+    ) -> NativeBasis:
+        """Factor the Gram matrix at the centres plus a diagonal `nugget`."""
+        K, excess, norm = gram_matrix(sections, points, nugget)
+        lower, info = dpotrf(K, lower=1, clean=0, overwrite_a=1)
+        if info != 0:
+            raise np.linalg.LinAlgError("the Gram matrix is not positive definite")
+        rcond = float(dpocon(lower, norm, uplo="L")[0])
+        if rcond < SINGULAR:
+            raise np.linalg.LinAlgError("the Gram matrix is numerically singular")
+        P = np.empty((len(points), 0))
+        if tail is not None:
+            P = polynomial(points, tail.origin, tail.seen)
+            P = solve_triangular(lower, P)
+        Q, R = np.linalg.qr(P)
+        return cls(sections, lower, excess, rcond, tail, Q, R)
+
+    def values(self, X: Array) -> tuple[Array, Array]:
+        """Evaluate a(x), of shape (M, rows), and t(x), of shape (q, rows)."""
+        K = matrix(self.sections, X)
+        a = solve_triangular(self.lower, K.T, overwrite=True)
+        if self.tail is None:
+            return a, np.empty((0, len(X)))
+        p = polynomial(X, self.tail.origin, self.tail.seen)
+        return a, np.asarray(np.linalg.solve(self.R.T, p.T), dtype=np.float64)
+
+    def design(self, X: Array) -> tuple[Array, Array]:
+        """Evaluate a(x) less its part along Q, and all polynomials."""
+        a, t = self.values(X)
+        if self.tail is None:
+            return a, t
+        along = dgemm(1.0, self.Q, a, trans_a=1)
+        a = dgemm(-1.0, self.Q, along, 1.0, a, overwrite_c=1)
+        return a, np.vstack([t, polynomial(X, self.tail.origin, self.tail.unseen).T])
+
+    def variance(self, X: Array) -> Array:
+        """Evaluate the squared power function."""
+        a, t = self.values(X)
+        variance = self.sections.diagonal(X) - np.einsum("ij,ij->j", a, a)
+        if self.tail is not None:
+            t -= dgemm(1.0, self.Q, a, trans_a=1)
+            variance += np.einsum("ij,ij->j", t, t)
+        return np.maximum(variance, 0.0)
+
+    def functions(self, X: Array) -> Array:
+        """Evaluate a basis of all estimates, of shape (dimension, rows).
+
+        It is a(x) with the polynomials in the place of its part along Q, which makes
+        L^-1 u the coordinates of the interpolant of u; then the polynomials that the
+        centres do not see.
+        """
+        a, t = self.design(X)
+        q = self.Q.shape[1]
+        return np.vstack([dgemm(1.0, self.Q, t[:q], 1.0, a), t[q:]]) if q else a
+
+    def coordinates(self, z: Array, b: Array) -> Array:
+        """Turn the coordinates z and b into those in the basis of `functions`."""
+        q = self.Q.shape[1]
+        return np.vstack([z + self.Q @ b[:q], b[q:]])
+
+    def expand(self, v: Array) -> tuple[Array, Array]:
+        """Turn coordinates into coefficients of the sections and of the monomials."""
+        M = len(self.lower)
+        b = self.Q.T @ v[:M]
+        return self.coefficients(v[:M] - self.Q @ b, np.vstack([b, v[M:]]))
+
+    def coefficients(self, z: Array, b: Array) -> tuple[Array, Array]:
+        """Turn coordinates into coefficients of the sections and of the monomials.
+
+        Entries of b beyond q belong to the polynomials that the centres do not see.
+        """
+        dual = solve_triangular(self.lower, z, transpose=True)
+        if not np.isfinite(dual).all():
+            raise np.linalg.LinAlgError("the coefficients are not finite")
+        if self.tail is None:
+            return dual, np.empty((0, z.shape[1]))
+        q = len(self.R)
+        trend = self.tail.seen @ np.linalg.solve(self.R, b[:q])
+        return dual, trend + self.tail.unseen[:, : len(b) - q] @ b[q:]
+
+
+def solve_triangular(
+    lower: Array, b: Array, *, transpose: bool = False, overwrite: bool = False
+) -> Array:
+    x, info = dtrtrs(
+        lower, b, lower=1, trans=int(transpose), overwrite_b=int(overwrite)
+    )
+    if info != 0:
+        raise np.linalg.LinAlgError("the Gram matrix is singular")
+    return x
+
+
+def power(basis: NativeBasis, X: Array, n_jobs: int | None = None) -> Array:
+    """Evaluate the power function."""
+    n_rows = block_rows(len(basis.lower))
+    return np.sqrt(by_rows(basis.variance, X, n_rows, n_jobs))
+
+
+def block_rows(n_centers: int) -> int:
+    """Return how many rows to take at once: a triangular solve reads all the factor."""
+    return max(2**18 // n_centers, n_centers // 16, 1)

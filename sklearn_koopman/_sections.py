@@ -1,0 +1,304 @@
+"""Kernel sections of centres, and the matrices and sums that are made of them.
+
+Kernel matrices are evaluated tile by tile. A tile and its working memory stay in the
+cache, and are the same arrays throughout: the operating system would otherwise map
+new ones for every tile, which takes longer than the kernel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Protocol
+
+import numpy as np
+from joblib import effective_n_jobs
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+from sklearn.utils import gen_batches
+from sklearn.utils.parallel import Parallel, delayed
+from threadpoolctl import ThreadpoolController
+
+from sklearn_koopman.kernels import FAR, RadialKernel
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+# Writes k(X[rows], Xi[columns]) to an array of that shape.
+Tiles = Callable[[slice, slice, Array], None]
+
+# Entries and rows of a tile: 256 kB, as much again for the distances.
+TILE = 2**15
+TILE_ROWS = 64
+# With more features than this, distances by matrix products are the faster ones.
+FEW_FEATURES = 4
+# Products lose the digits of distances far below the size of the states, in units of
+# the scale: those below this part of it are computed anew ...
+NEAR = 1e-6
+# ... and all of them, where the squared size is beyond this.
+WIDE = 1e3
+
+
+class Sections(Protocol):
+    """The kernel sections of M centres, as functions of rows."""
+
+    def __len__(self) -> int: ...
+
+    def __call__(self, X: Array) -> Array:
+        """Return k(X, Xi)."""
+
+    def take(self, kept: Indices) -> Sections:
+        """Return the sections of some of the centres."""
+
+    def diagonal(self, X: Array) -> Array:
+        """Return k(x, x) for every row."""
+
+    def smooth_diagonal(self, X: Array) -> Array:
+        """Return k(x, x) as for two states that are equal by chance: without noise."""
+
+    def tiles(self, X: Array, exact: bool = True) -> Tiles:
+        """Return the tiles of k(X, Xi); exact to the last digits unless told not."""
+
+
+@dataclass(frozen=True)
+class KernelSections:
+    """Kernel sections of centres given by their coordinates."""
+
+    kernel: Any
+    centers: Array
+
+    def __len__(self) -> int:
+        return len(self.centers)
+
+    def __call__(self, X: Array) -> Array:
+        return matrix(self, X)
+
+    def take(self, kept: Indices) -> KernelSections:
+        return KernelSections(self.kernel, self.centers[kept])
+
+    def diagonal(self, X: Array) -> Array:
+        return self.kernel.diag(X)
+
+    def smooth_diagonal(self, X: Array) -> Array:
+        if isinstance(self.kernel, RadialKernel):
+            return np.ones(len(X))
+        parts = [
+            np.diagonal(self.kernel(X[rows], X[rows]))
+            for rows in gen_batches(len(X), 64)
+        ]
+        return np.concatenate(parts)
+
+    def tiles(self, X: Array, exact: bool = True) -> Tiles:
+        kernel, centers = self.kernel, self.centers
+        if isinstance(kernel, RadialKernel):
+            return _radial_tiles(kernel, X, centers, exact)
+
+        def fill(rows: slice, columns: slice, out: Array) -> None:
+            out[...] = kernel(X[rows], centers[columns])
+
+        return fill
+
+
+@dataclass(frozen=True)
+class DistanceSections:
+    """Sections of an isotropic kernel, where rows hold distances to the centres."""
+
+    kernel: Any
+    columns: Indices
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+    def __call__(self, X: Array) -> Array:
+        return matrix(self, X)
+
+    def take(self, kept: Indices) -> DistanceSections:
+        return DistanceSections(self.kernel, self.columns[kept])
+
+    def diagonal(self, X: Array) -> Array:
+        return np.repeat(self.kernel.diag(np.zeros((1, 1))), len(X))
+
+    def smooth_diagonal(self, X: Array) -> Array:
+        origin = np.zeros((1, 1))
+        return np.repeat(self.kernel(origin, origin)[0], len(X))
+
+    def tiles(self, X: Array, exact: bool = True) -> Tiles:
+        origin = np.zeros((1, 1))
+
+        def fill(rows: slice, columns: slice, out: Array) -> None:
+            distances = X[rows][:, self.columns[columns]]
+            # On a line, the distance from the origin is all there is to a point.
+            values = self.kernel(distances.reshape(-1, 1), origin)
+            out[...] = values.reshape(out.shape)
+
+        return fill
+
+
+def matrix(sections: Sections, X: Array) -> Array:
+    """Evaluate k(X, Xi)."""
+    K = np.empty((len(X), len(sections)))
+    fill = sections.tiles(X)
+    work = np.empty(TILE)
+    for rows, columns in _grid(len(X), len(sections)):
+        K[rows, columns] = _filled(fill, rows, columns, work)
+    return K
+
+
+def gram_matrix(
+    sections: Sections, points: Array, nugget: Array
+) -> tuple[Array, Array, float]:
+    """Assemble the lower triangle of the Gram matrix plus a diagonal.
+
+    Returns
+    -------
+    K : ndarray of shape (M, M)
+        The matrix in Fortran order; what is above its diagonal has no meaning.
+    excess : ndarray of shape (M,)
+        What its diagonal has over the sections: the nugget, and a noise term of the
+        kernel, which counts here and nowhere else.
+    norm : float
+        Its 1-norm.
+    """
+    n = len(points)
+    K = np.empty((n, n))
+    fill, work = sections.tiles(points), np.empty(TILE)
+    sums = np.zeros(n)
+    for rows in _slices(0, n, TILE_ROWS):
+        corner = _filled(fill, rows, rows, work)
+        K[rows, rows] = corner
+        sums[rows] += np.abs(corner, out=corner).sum(axis=1)
+        for columns in _slices(rows.stop, n, TILE // TILE_ROWS):
+            tile = _filled(fill, rows, columns, work)
+            K[rows, columns] = tile
+            np.abs(tile, out=tile)
+            sums[rows] += tile.sum(axis=1)
+            sums[columns] += tile.sum(axis=0)
+    diagonal = sections.diagonal(points) + nugget
+    smooth = K.diagonal().copy()
+    sums += np.abs(diagonal) - np.abs(smooth)
+    K[np.diag_indices(n)] = diagonal
+    return K.T, diagonal - smooth, float(sums.max())
+
+
+def product(
+    sections: Sections, X: Array, dual: Array, n_jobs: int | None = None
+) -> Array:
+    """Evaluate k(X, Xi) @ dual without holding k(X, Xi)."""
+
+    def evaluated(X: Array) -> Array:
+        values = np.zeros((len(X), dual.shape[1]))
+        fill, work = sections.tiles(X, exact=False), np.empty(TILE)
+        for rows, columns in _grid(len(X), len(sections)):
+            values[rows] += _filled(fill, rows, columns, work) @ dual[columns]
+        return values
+
+    # Scaled copies of the rows are made once a slab, of whole tiles: their sums do not
+    # depend on the number of threads.
+    height = _height(len(sections))
+    n_tiles = -(-len(X) // (8 * effective_n_jobs(n_jobs) * height))
+    n_rows = min(n_tiles, max(2**16 // height, 1)) * height
+    return by_rows(evaluated, X, n_rows, n_jobs)
+
+
+def by_rows(
+    function: Callable[[Array], Array], X: Array, n_rows: int, n_jobs: int | None
+) -> Array:
+    """Apply a function to blocks of rows, on threads if asked, and join the results."""
+    blocks = list(gen_batches(len(X), n_rows))
+    if len(blocks) == 1 or effective_n_jobs(n_jobs) == 1:
+        return np.concatenate([function(X[rows]) for rows in blocks])
+    with one_thread():
+        parts = Parallel(n_jobs=n_jobs, prefer="threads")(
+            delayed(function)(X[rows]) for rows in blocks
+        )
+    return np.concatenate(parts)
+
+
+def one_thread() -> Any:
+    """Hold BLAS to one thread: several in each of several threads slow each other."""
+    return _controller().limit(limits=1, user_api="blas")
+
+
+@cache
+def _controller() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+def _grid(n_rows: int, n_columns: int) -> Iterator[tuple[slice, slice]]:
+    """Divide a matrix into tiles, row by row."""
+    for rows in _slices(0, n_rows, _height(n_columns)):
+        for columns in _slices(0, n_columns, TILE // (rows.stop - rows.start)):
+            yield rows, columns
+
+
+def _height(n_columns: int) -> int:
+    return max(TILE_ROWS, TILE // n_columns)
+
+
+def _filled(fill: Tiles, rows: slice, columns: slice, work: Array) -> Array:
+    n_rows, n_columns = rows.stop - rows.start, columns.stop - columns.start
+    tile = work[: n_rows * n_columns].reshape(n_rows, n_columns)
+    fill(rows, columns, tile)
+    return tile
+
+
+def _slices(start: int, stop: int, size: int) -> Iterator[slice]:
+    for first in range(start, stop, size):
+        yield slice(first, min(first + size, stop))
+
+
+def _radial_tiles(kernel: RadialKernel, X: Array, centers: Array, exact: bool) -> Tiles:
+    n_features = centers.shape[1]
+    # Scaled before the differences are squared: neither huge nor tiny units overflow,
+    # and equal rows stay at distance exactly zero.
+    x, c = X / kernel.beta, centers / kernel.beta
+    extent = float(max(np.abs(x).max(initial=0.0), np.abs(c).max(initial=0.0)))
+    work = np.empty(TILE)
+    by_products = None
+    if not exact and n_features > FEW_FEATURES and extent < WIDE:
+        by_products = _distances_by_products(x, c)
+
+    def fill(rows: slice, columns: slice, out: Array) -> None:
+        r: Any = work[: out.size].reshape(out.shape)
+        if by_products is not None:
+            by_products(rows, columns, r)
+        else:
+            cdist(x[rows], c[columns], out=r)
+            if extent > 1e-5 * FAR:
+                np.minimum(r, FAR, out=r)
+        values = kernel.profile(r, n_features, out)
+        if values is not out:  # one that a subclass has made
+            out[...] = values
+
+    return fill
+
+
+def _distances_by_products(
+    x: Array, c: Array
+) -> Callable[[slice, slice, Array], None] | None:
+    """Return distances by |x|^2 - 2 x^T c + |c|^2; None where they lose digits.
+
+    The rounding error of the squared distance is that of |x|^2 + |c|^2. About the mean
+    of the centres, and in units of the scale, that is small enough for the kernel
+    except where a distance is nearly zero, whose root it is that counts.
+    """
+    mean = c.mean(axis=0)
+    left, right = x - mean, c - mean
+    left_squared = np.einsum("ij,ij->i", left, left)
+    right_squared = np.einsum("ij,ij->i", right, right)
+    size = float(left_squared.max(initial=0.0) + right_squared.max())
+    if size > WIDE:
+        return None
+    left = np.column_stack([-2 * left, left_squared, np.ones(len(x))])
+    right = np.vstack([right.T, np.ones(len(c)), right_squared])
+
+    def fill(rows: slice, columns: slice, out: Array) -> None:
+        np.matmul(left[rows], right[:, columns], out=out)
+        near = np.flatnonzero(out < NEAR * size)
+        if len(near):
+            i, j = np.divmod(near, out.shape[1])
+            difference = x[rows][i] - c[columns][j]
+            out.reshape(-1)[near] = np.einsum("ij,ij->i", difference, difference)
+        np.sqrt(out, out=out)
+
+    return fill
