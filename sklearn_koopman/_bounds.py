@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dtrtri
 
-from sklearn_koopman._native import NativeBasis, Tail, power
+from sklearn_koopman._native import NativeBasis, Tail
 from sklearn_koopman._sections import Sections
 from sklearn_koopman._solvers import interpolation
 from sklearn_koopman.centers import farthest_centers
@@ -25,7 +25,7 @@ def variance(
 ) -> Array:
     """Evaluate the squared power function with the smooth diagonal of a kernel."""
     noise = basis.sections.diagonal(X) - smooth
-    return np.asarray(np.maximum(power(basis, X, n_jobs) ** 2 - noise, 0.0))
+    return np.asarray(np.maximum(basis.power(X, n_jobs) ** 2 - noise, 0.0))
 
 
 def left_out_precision(basis: NativeBasis) -> Array:

@@ -149,6 +149,11 @@ class NativeBasis:
             variance += np.einsum("ij,ij->j", t, t)
         return np.maximum(variance, 0.0)
 
+    def power(self, X: Array, n_jobs: int | None = None) -> Array:
+        """Evaluate the power function."""
+        n_rows = block_rows(len(self.lower))
+        return np.sqrt(by_rows(self.variance, X, n_rows, n_jobs))
+
     def functions(self, X: Array) -> Array:
         """Evaluate a basis of all estimates, of shape (dimension, rows).
 
@@ -195,12 +200,6 @@ def solve_triangular(
     if info != 0:
         raise np.linalg.LinAlgError("the Gram matrix is singular")
     return x
-
-
-def power(basis: NativeBasis, X: Array, n_jobs: int | None = None) -> Array:
-    """Evaluate the power function."""
-    n_rows = block_rows(len(basis.lower))
-    return np.sqrt(by_rows(basis.variance, X, n_rows, n_jobs))
 
 
 def block_rows(n_centers: int) -> int:

@@ -9,17 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
+from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
 from joblib import effective_n_jobs
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 from sklearn.utils import gen_batches
 from sklearn.utils.parallel import Parallel, delayed
 from threadpoolctl import ThreadpoolController
 
+from sklearn_koopman import _sparse
 from sklearn_koopman.kernels import FAR, RadialKernel
 
 Array = NDArray[np.float64]
@@ -30,6 +34,10 @@ Tiles = Callable[[slice, slice, Array], None]
 # Entries and rows of a tile: 256 kB, as much again for the distances.
 TILE = 2**15
 TILE_ROWS = 64
+# Below this part of entries that are not zero, looking for them is the quicker way ...
+SPARSE = 0.01
+# ... for so many rows at a time.
+SPARSE_ROWS = 2**14
 # With more features than this, distances by matrix products are the faster ones.
 FEW_FEATURES = 4
 # Products lose the digits of distances far below the size of the states, in units of
@@ -72,6 +80,19 @@ class KernelSections:
 
     def __call__(self, X: Array) -> Array:
         return matrix(self, X)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"kernel": self.kernel, "centers": self.centers}
+
+    @cached_property
+    def tree(self) -> KDTree:
+        """The centres, for kernels of compact support."""
+        return _sparse.kd_tree(self.centers)
+
+    @property
+    def is_compact(self) -> bool:
+        """Whether k(x, xi) is zero from some distance on."""
+        return isinstance(self.kernel, RadialKernel) and self.kernel.is_compact
 
     def take(self, kept: Indices) -> KernelSections:
         return KernelSections(self.kernel, self.centers[kept])
@@ -185,6 +206,12 @@ def product(
 ) -> Array:
     """Evaluate k(X, Xi) @ dual without holding k(X, Xi)."""
 
+    def evaluated_sparsely(X: Array) -> Array:
+        return sparse_matrix(sections, X) @ dual
+
+    if is_sparse(sections, X):
+        return by_rows(evaluated_sparsely, X, SPARSE_ROWS, n_jobs)
+
     def evaluated(X: Array) -> Array:
         values = np.zeros((len(X), dual.shape[1]))
         fill, work = sections.tiles(X, exact=False), np.empty(TILE)
@@ -198,6 +225,54 @@ def product(
     n_tiles = -(-len(X) // (8 * effective_n_jobs(n_jobs) * height))
     n_rows = min(n_tiles, max(2**16 // height, 1)) * height
     return by_rows(evaluated, X, n_rows, n_jobs)
+
+
+def is_sparse(sections: Sections, X: Array, below: float = SPARSE) -> bool:
+    """Tell whether less than this part of k(X, Xi), of many entries, is not zero."""
+    return (
+        isinstance(sections, KernelSections)
+        and sections.is_compact
+        and len(sections) * min(len(X), TILE_ROWS) > TILE
+        and _sparse.density(sections.kernel, sections.tree, X) < below
+    )
+
+
+def sparse_matrix(sections: Sections, X: Array) -> csr_array:
+    """Evaluate k(X, Xi) where it is not zero."""
+    assert isinstance(sections, KernelSections)
+    return _sparse.cross(sections.kernel, X, sections.centers, sections.tree)
+
+
+def gram_product(
+    sections: Sections, points: Array, V: Array, n_jobs: int | None = None
+) -> Array:
+    """Evaluate k(Xi, Xi) @ V without holding the matrix, from one triangle."""
+    n = len(points)
+    # Blocks of rows of equal area, for the threads to share.
+    n_blocks = max(8 * effective_n_jobs(n_jobs), 1)
+    edges = n - n * np.sqrt(1 - np.arange(n_blocks + 1) / n_blocks)
+    edges = TILE_ROWS * np.round(edges / TILE_ROWS).astype(int)
+    edges[-1] = n
+
+    def block(start: int, stop: int) -> Array:
+        sums = np.zeros_like(V)
+        fill, work = sections.tiles(points, exact=False), np.empty(TILE)
+        for rows in _slices(start, stop, TILE_ROWS):
+            sums[rows] += _filled(fill, rows, rows, work) @ V[rows]
+            for columns in _slices(rows.stop, n, TILE // TILE_ROWS):
+                tile = _filled(fill, rows, columns, work)
+                sums[rows] += tile @ V[columns]
+                sums[columns] += tile.T @ V[rows]
+        return sums
+
+    blocks = [(int(a), int(b)) for a, b in pairwise(edges) if a < b]
+    if effective_n_jobs(n_jobs) == 1:
+        return np.sum([block(*edge) for edge in blocks], axis=0)
+    with one_thread():
+        parts = Parallel(n_jobs=n_jobs, prefer="threads")(
+            delayed(block)(*edge) for edge in blocks
+        )
+    return np.sum(parts, axis=0)
 
 
 def by_rows(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,11 +39,14 @@ class UnsuitableKernelError(ValueError):
     """The kernel has no Gram matrix that an estimate could be made with."""
 
 
+AnyBasis = TypeVar("AnyBasis")  # of dense matrices, or without them
+
+
 @dataclass(frozen=True)
-class Solution:
+class Solution(Generic[AnyBasis]):
     """Coefficients of an estimate and the basis that they were computed in."""
 
-    basis: NativeBasis
+    basis: AnyBasis
     kept: Indices  # which of the centres offered carry the estimate
     dual: Array  # (M, n_outputs)
     trend: Array  # (n_terms, n_outputs), of the monomials of the tail
@@ -51,13 +55,13 @@ class Solution:
     error: float  # how far it is from the values it should have, where that is suspect
 
 
-Rule = Callable[[NativeBasis, Indices], Solution]
+Rule = Callable[[NativeBasis, Indices], Solution[NativeBasis]]
 
 
 def interpolation(points: Array, u: Array) -> Rule:
     """Rule that interpolates u at the centres; meets u - E c with an excess E."""
 
-    def solve(basis: NativeBasis, kept: Indices) -> Solution:
+    def solve(basis: NativeBasis, kept: Indices) -> Solution[NativeBasis]:
         v = solve_triangular(basis.lower, u[kept])
         b = basis.Q.T @ v
         z = v - basis.Q @ b
@@ -77,7 +81,7 @@ def interpolation(points: Array, u: Array) -> Rule:
 def regression(X: Array, y: Array, alpha: float) -> Rule:
     """Rule that fits y on all rows of X by least squares."""
 
-    def solve(basis: NativeBasis, kept: Indices) -> Solution:
+    def solve(basis: NativeBasis, kept: Indices) -> Solution[NativeBasis]:
         z, b, freedom = least_squares(basis, X, y.__getitem__, y.shape[1], alpha)
         dual, trend = basis.coefficients(z, b)
         error = 0.0
@@ -197,7 +201,7 @@ def solve(
     rows: Array,
     *,
     drop_dependent: bool,
-) -> tuple[Solution, float]:
+) -> tuple[Solution[NativeBasis], float]:
     """Apply a rule in the native basis of the centres.
 
     `rows` tell which features vary, for the tail. Where the Gram matrix is not

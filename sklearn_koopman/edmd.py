@@ -36,6 +36,8 @@ Indices = NDArray[np.intp]
 # Modes are summed in the place of powers only if the reciprocal condition number of the
 # eigenvectors is at least this, so that both agree to about 1e-9.
 WELL_CONDITIONED = 1e-7
+# What happens where the Gram matrix is not positive definite.
+SOLVERS = ("auto", "cholesky")
 # A forecast this many times larger than all outputs of the training data has diverged.
 DIVERGED = 1e3
 
@@ -312,6 +314,11 @@ default=None
                 f"centers must be None, an array or a selector, got {self.centers!r}; "
                 "the operator needs the states themselves, not distances."
             )
+        if not isinstance(self.solver, str) or self.solver not in SOLVERS:
+            raise ValueError(
+                f"solver must be one of {', '.join(map(repr, SOLVERS))}, got "
+                f"{self.solver!r}."
+            )
         if self.n_modes is not None:
             check_integer(self.n_modes, "n_modes", 0)
         consecutive = X_next is None and sample_index is None
@@ -557,7 +564,8 @@ default=None
             method=self.method,
             alpha=self.alpha,
             trend=self.trend,
-            solver=self.solver,
+            # The operator is a dense matrix, and needs a dense factor.
+            solver="pivoted_cholesky" if self.solver == "auto" else self.solver,
             n_jobs=self.n_jobs,
         )
         interpolates = every_row or self.method == "interpolation"

@@ -8,12 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgWarning
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
+from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_X_y
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman import _bounds, _solvers
-from sklearn_koopman._native import NativeBasis, power
+from sklearn_koopman import _bounds, _large, _solvers
+from sklearn_koopman._iterative import Converged
+from sklearn_koopman._large import ImplicitBasis
+from sklearn_koopman._native import NativeBasis, Tail
 from sklearn_koopman._sections import DistanceSections, KernelSections, Sections
 from sklearn_koopman._validation import check_number
 from sklearn_koopman.centers import (
@@ -24,6 +27,7 @@ from sklearn_koopman.centers import (
     rows_at_distance_zero,
 )
 from sklearn_koopman.kernels import as_kernel
+from sklearn_koopman.solvers import ConjugateGradient, check_solver
 
 __all__ = ["KoopmanKernelRegressor"]
 
@@ -85,16 +89,24 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Polynomial tail that is solved for together with the kernel part, and that
         predictions return to away from the centres. "linear" suits outputs that
         change little in one step and are part of the state.
-    solver : {"auto", "cholesky"}, default="auto"
-        What happens where the Gram matrix is not numerically positive definite.
+    solver : {"auto", "pivoted_cholesky", "cholesky"} or ConjugateGradient, \
+default="auto"
+        How the system of the Gram matrix is solved.
 
-        - "auto": a pivoted Cholesky factorisation leaves out the centres that
-          depend on others, with a warning unless `alpha` makes them irrelevant to
-          least squares.
-        - "cholesky": an error.
+        - "pivoted_cholesky": by a dense Cholesky factor. Where the matrix is not
+          numerically positive definite, a pivoted factorisation leaves out the
+          centres that depend on others, with a warning unless `alpha` makes them
+          irrelevant to least squares.
+        - "cholesky": the same, with an error in place of leaving out centres.
+        - :class:`~sklearn_koopman.solvers.ConjugateGradient`: iteratively, without a
+          dense matrix, for many centres.
+        - "auto": "pivoted_cholesky", but `ConjugateGradient()` where a dense matrix
+          would take more than half of the memory of the machine, or where there are
+          more than 5,000 centres and less than 1 % of its entries are not zero.
     n_jobs : int, default=None
-        Number of threads for predictions. None means 1 unless in a
-        :obj:`joblib.parallel_backend` context, -1 means all processors.
+        Number of threads for predictions and for the products of
+        `ConjugateGradient`. None means 1 unless in a :obj:`joblib.parallel_config`
+        context, -1 means all processors.
 
     Attributes
     ----------
@@ -123,12 +135,20 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         sqrt(alpha)`` for interpolation, and where every row is a centre; otherwise
         the root of the sum of squared residuals over the number of rows less the
         effective number of parameters.
+    solver_ : str or ConjugateGradient
+        What `solver` came to: "pivoted_cholesky", "cholesky" or the conjugate
+        gradients.
+    n_iter_ : int
+        Number of iterations. Only with conjugate gradients.
+    residual_ : float
+        Largest residual of any output relative to the values to be met, computed anew
+        at the end. Only with conjugate gradients.
     rcond_ : float
         Estimate of the reciprocal condition number of the matrix that was factored:
         K, with `alpha` on its diagonal for interpolation. About ``-log10(rcond_)`` of
         16 digits are lost in the coefficients, fewer in the predictions: where many
         are lost, the estimate is accepted if it reproduces the values that it should
-        have to 1e-6 of their size.
+        have to 1e-6 of their size. Not with conjugate gradients.
     n_features_in_ : int
         Number of features seen during `fit`.
     feature_names_in_ : ndarray of shape (n_features_in_,)
@@ -272,29 +292,37 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             sections = KernelSections(kernel, points)
 
         nugget = np.zeros(len(points))
+        u = None
         if interpolates:
             assert rows is not None
             nugget += weight
             u = outputs if self.centers is None else outputs[rows]
-            rule, extent = _solvers.interpolation(points, u), points
-        else:
-            if self.alpha == 0 and len(X) < len(points):
-                raise ValueError(
-                    f"method='least_squares' with alpha=0 needs at least as many rows "
-                    f"as centres, got {len(X)} rows and {len(points)} centres; set "
-                    "alpha > 0 or choose fewer centres."
-                )
-            rule, extent = _solvers.regression(X, outputs, self.alpha), X
-        try:
-            solution, tolerance = _solvers.solve(
-                sections,
-                points,
-                nugget,
-                rule,
-                DEGREES[self.trend],
-                extent,
-                drop_dependent=self.solver == "auto",
+        elif self.alpha == 0 and len(X) < len(points):
+            raise ValueError(
+                f"method='least_squares' with alpha=0 needs at least as many rows "
+                f"as centres, got {len(X)} rows and {len(points)} centres; set "
+                "alpha > 0 or choose fewer centres."
             )
+        solver = self._chosen_solver(sections, points)
+        solution: _solvers.Solution[Any]
+        found, tolerance = None, 0.0
+        try:
+            if isinstance(solver, ConjugateGradient):
+                solution, found = self._solve_large(
+                    solver, sections, nugget, X, outputs, u
+                )
+            else:
+                solution, tolerance = _solvers.solve(
+                    sections,
+                    points,
+                    nugget,
+                    _solvers.regression(X, outputs, self.alpha)
+                    if u is None
+                    else _solvers.interpolation(points, u),
+                    DEGREES[self.trend],
+                    X if u is None else points,
+                    drop_dependent=solver == "pivoted_cholesky",
+                )
         except _solvers.UnsuitableKernelError as error:
             raise ValueError(
                 f"kernel={kernel!r} {error}; rescale them, or take another kernel."
@@ -321,6 +349,11 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         validate_data(self, given, y, skip_check_array=True)
         self._interpolates = interpolates
         self._store(X, y, kernel, rows, nugget, solution)
+        self.solver_ = solver
+        for name in ("n_iter_", "residual_"):
+            self.__dict__.pop(name, None)
+        if found is not None:
+            self.n_iter_, self.residual_ = found.n_iter, found.residual
         return self
 
     def predict(self, X: Any, return_std: bool = False) -> Array | tuple[Array, Array]:
@@ -357,7 +390,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         y = self._evaluate(X).reshape((len(X), *self.dual_coef_.shape[1:]))
         if not return_std:
             return y
-        P = power(self._native_basis(), X, self.n_jobs)
+        P = self._fitted_basis().power(X, self.n_jobs)
         P = P.reshape((-1,) + (1,) * (self.dual_coef_.ndim - 1))
         return y, np.hypot(self.amplitude_ * P, self.noise_)
 
@@ -391,7 +424,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             If the model was fitted to distances and loaded from a pickle.
         """
         check_is_fitted(self)
-        return power(self._native_basis(), self._validated(X), self.n_jobs)
+        return self._fitted_basis().power(self._validated(X), self.n_jobs)
 
     def error_bound(self, X: Any, norm: Any = None) -> Array:
         """Bound the error of the prediction at each state.
@@ -427,7 +460,8 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Raises
         ------
         ValueError
-            If the estimate is one of least squares, which has no such bound; if
+            If the estimate is one of least squares, which has no such bound, or was
+            solved by conjugate gradients; if
             `norm` is no finite number for each output, 0 or above; if it is left out
             where the centres are not known, or too few for an estimate; if the model
             was fitted to distances and loaded from a pickle.
@@ -452,6 +486,12 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 "chosen centres averages over rows that no function of the span meets, "
                 "and has none. Take predict(X, return_std=True), or "
                 "method='interpolation'."
+            )
+        if isinstance(self.solver_, ConjugateGradient):
+            raise ValueError(
+                "error_bound takes a dense Cholesky factor, but this model was solved "
+                "by conjugate gradients; multiply power_function(X) by the native norm "
+                "instead, or fit with solver='cholesky'."
             )
         X = self._validated(X)
         basis = self._native_basis()
@@ -480,11 +520,21 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     def _check_parameters(self) -> None:
         check_number(self.alpha, "alpha")
-        for name, choices in (
-            ("method", ("interpolation", "least_squares")),
-            ("trend", tuple(DEGREES)),
-            ("solver", ("auto", "cholesky")),
-        ):
+        choices_of: dict[str, tuple[str | None, ...]] = {
+            "method": ("interpolation", "least_squares"),
+            "trend": tuple(DEGREES),
+            "solver": ("auto", "pivoted_cholesky", "cholesky"),
+        }
+        if isinstance(self.solver, ConjugateGradient):
+            check_solver(self.solver)
+            if self._precomputed:
+                raise ValueError(
+                    "solver=ConjugateGradient() needs the states, but "
+                    "centers='precomputed' gives distances only; pass the states and "
+                    "centers=SeparatedCenterSelector()."
+                )
+            del choices_of["solver"]
+        for name, choices in choices_of.items():
             value = getattr(self, name)
             if not (value is None or isinstance(value, str)) or value not in choices:
                 raise ValueError(
@@ -497,6 +547,49 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 "distances only; pass the states and centers=SeparatedCenterSelector()."
             )
 
+    def _chosen_solver(
+        self, sections: Sections, points: Array
+    ) -> str | ConjugateGradient:
+        if isinstance(self.solver, ConjugateGradient):
+            return clone(self.solver)
+        if self.solver != "auto":
+            return str(self.solver)
+        if _large.is_large(sections, points):
+            return ConjugateGradient()
+        return "pivoted_cholesky"
+
+    def _solve_large(
+        self,
+        solver: ConjugateGradient,
+        sections: Sections,
+        nugget: Array,
+        X: Array,
+        y: Array,
+        u: Array | None,
+    ) -> tuple[_solvers.Solution[ImplicitBasis], Converged]:
+        """Interpolate u at the centres, or fit y where there is none."""
+        assert isinstance(sections, KernelSections)
+        degree = DEGREES[self.trend]
+        tail = None
+        if degree is not None:
+            rows = X if u is None else sections.centers
+            tail = Tail.on(sections.centers, degree, rows)
+        basis = ImplicitBasis.of(sections, nugget, tail, solver, self.n_jobs)
+        if u is not None:
+            solution, found = _large.interpolate(basis, u)
+        else:
+            solution, found = _large.regress(basis, X, y, self.alpha, self.n_jobs)
+        if found.residual > solver.tol:
+            warnings.warn(
+                f"Conjugate gradients for kernel={sections.kernel!r} on "
+                f"{len(sections)} centres ended after {found.n_iter} iterations with a "
+                f"relative residual of {found.residual:.1e}, above tol={solver.tol:.1e}"
+                f". Raise max_iter, rank, n_neighbors or tol of the solver. {_REMEDY}",
+                ConvergenceWarning,
+                stacklevel=3,
+            )
+        return solution, found
+
     def _store(
         self,
         X: Array,
@@ -504,7 +597,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         kernel: Any,
         rows: Indices | None,
         nugget: Array,
-        solution: _solvers.Solution,
+        solution: _solvers.Solution[Any],
     ) -> None:
         basis, kept = solution.basis, solution.kept
 
@@ -517,7 +610,9 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.kernel_ = kernel
         self.center_indices_ = None if rows is None else rows[kept]
         self.dual_coef_ = shaped(solution.dual)
-        self.rcond_ = basis.rcond
+        self.__dict__.pop("rcond_", None)
+        if isinstance(basis, NativeBasis):
+            self.rcond_ = basis.rcond
         self._sections = basis.sections
         if isinstance(self._sections, KernelSections):
             self.centers_ = self._sections.centers
@@ -620,24 +715,35 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             )
 
     def _native_basis(self) -> NativeBasis:
-        if not hasattr(self, "_basis"):
-            if isinstance(self._sections, DistanceSections):
-                raise ValueError(
-                    "With centers='precomputed' the distances between the centres are "
-                    "not pickled, so that a loaded model has no power function or "
-                    "standard deviation; fit again, or fit on the states with "
-                    "centers=SeparatedCenterSelector()."
+        basis = self._fitted_basis()
+        assert isinstance(basis, NativeBasis)
+        return basis
+
+    def _fitted_basis(self) -> NativeBasis | ImplicitBasis:
+        if hasattr(self, "_basis"):
+            return self._basis
+        if not isinstance(self._sections, KernelSections):
+            raise ValueError(
+                "With centers='precomputed' the distances between the centres are "
+                "not pickled, so that a loaded model has no power function or "
+                "standard deviation; fit again, or fit on the states with "
+                "centers=SeparatedCenterSelector()."
+            )
+        try:
+            if isinstance(self.solver_, ConjugateGradient):
+                self._basis = ImplicitBasis.of(
+                    self._sections, self._nugget, self._tail, self.solver_, self.n_jobs
                 )
-            try:
+            else:
                 self._basis = NativeBasis.of(
                     self._sections, self.centers_, self._nugget, self._tail
                 )
-            except np.linalg.LinAlgError as error:
-                raise ValueError(
-                    "The Gram matrix, not pickled, was barely positive definite where "
-                    "the model was fitted, and is not on this machine: predictions are "
-                    f"all that is left. Fit again, here. {_REMEDY}"
-                ) from error
+        except np.linalg.LinAlgError as error:
+            raise ValueError(
+                "The Gram matrix, not pickled, was barely positive definite where "
+                "the model was fitted, and is not on this machine: predictions are "
+                f"all that is left. Fit again, here. {_REMEDY}"
+            ) from error
         return self._basis
 
 

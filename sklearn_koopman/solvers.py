@@ -1,0 +1,126 @@
+"""Solvers for Gram matrices that are too large to be held."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sklearn.base import BaseEstimator
+
+from sklearn_koopman._validation import check_integer, check_number
+
+__all__ = ["ConjugateGradient"]
+
+PRECONDITIONERS = ("auto", "banded", "neighbors", "nystroem")
+
+
+class ConjugateGradient(BaseEstimator):
+    """Preconditioned conjugate gradients, for the `solver` of a regressor.
+
+    The Gram matrix K of M centres is only multiplied with, all outputs at once. For
+    kernels of compact support it is a sparse matrix, found with a kd-tree; for others
+    its entries are evaluated anew for every product. So memory stays proportional to
+    M, times the number of neighbours, or `rank`.
+
+    Parameters
+    ----------
+    tol : float, default=1e-10
+        Largest norm of the residual of any output, relative to that of the values to
+        be met (for least squares, of the normal equations).
+    max_iter : int, default=500
+        Largest number of iterations. Where they do not suffice, a `ConvergenceWarning`
+        tells the residual that was reached.
+    preconditioner : {"auto", "banded", "neighbors", "nystroem"}, default="auto"
+        What makes the iterations few.
+
+        - "banded": a Cholesky factor of the sparse matrix, its rows in reverse
+          Cuthill-McKee order. This is a direct solution, for kernels of compact
+          support on centres along curves, where the band is narrow.
+        - "neighbors": a sparse factor of K^-1 ([1]_, [2]_), in which every centre is
+          conditioned on the nearest ones before it in an order from coarse to fine.
+          For kernels of finite smoothness on manifolds of low dimension.
+        - "nystroem": few columns of K, chosen by randomly pivoted Cholesky
+          factorisation ([3]_). For smooth kernels with ``alpha > 0``.
+        - "auto": "banded" where that is cheap; "nystroem" where `rank` columns leave
+          a tenth of `alpha` at the most; otherwise "neighbors".
+    rank : int, default=500
+        Number of columns for "nystroem", and, with a preconditioner of either kind,
+        for the normal equations of least squares, which are treated as in FALKON
+        ([4]_). Memory is M x rank.
+    n_neighbors : int, default=None
+        Number of neighbours for "neighbors". None takes 30, and 10 for kernels of
+        compact support, whose matrices are better conditioned.
+    random_state : int, RandomState instance or None, default=0
+        Draws the columns for "nystroem", and the vectors that estimate the effective
+        number of parameters of least squares. The solution depends on it within `tol`.
+
+    See Also
+    --------
+    sklearn_koopman.KoopmanKernelRegressor : Takes it as its `solver`.
+
+    Notes
+    -----
+    The parameters can be tuned as ``solver__tol`` and the like. The power function,
+    and with it `return_std`, solves one system for each state.
+
+    References
+    ----------
+    .. [1] A. V. Vecchia, "Estimation and model identification for continuous spatial
+       processes", Journal of the Royal Statistical Society B 50, 1988.
+    .. [2] F. Schaefer, M. Katzfuss and H. Owhadi, "Sparse Cholesky factorization by
+       Kullback-Leibler minimization", SIAM Journal on Scientific Computing 43, 2021.
+    .. [3] Y. Chen, E. N. Epperly, J. A. Tropp and R. J. Webber, "Randomly pivoted
+       Cholesky", Communications on Pure and Applied Mathematics 78, 2025.
+    .. [4] A. Rudi, L. Carratino and L. Rosasco, "FALKON: An optimal large scale kernel
+       method", Advances in Neural Information Processing Systems 30, 2017.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_koopman import KoopmanKernelRegressor
+    >>> from sklearn_koopman.solvers import ConjugateGradient
+    >>> X = np.random.default_rng(0).uniform(size=(2000, 2))
+    >>> y = np.sin(4 * X[:, 0]) * X[:, 1]
+    >>> model = KoopmanKernelRegressor(solver=ConjugateGradient(tol=1e-12)).fit(X, y)
+    >>> dense = KoopmanKernelRegressor(solver="cholesky").fit(X, y)
+    >>> bool(abs(model.predict(X + 0.01) - dense.predict(X + 0.01)).max() < 1e-8)
+    True
+    >>> model.n_iter_ < 30
+    True
+    """
+
+    def __init__(
+        self,
+        *,
+        tol: float = 1e-10,
+        max_iter: int = 500,
+        preconditioner: str = "auto",
+        rank: int = 500,
+        n_neighbors: int | None = None,
+        random_state: Any = 0,
+    ) -> None:
+        self.tol = tol
+        self.max_iter = max_iter
+        self.preconditioner = preconditioner
+        self.rank = rank
+        self.n_neighbors = n_neighbors
+        self.random_state = random_state
+
+
+def check_solver(solver: ConjugateGradient) -> None:
+    """Refuse parameters outside their range.
+
+    Parameters
+    ----------
+    solver : ConjugateGradient
+        The solver.
+    """
+    check_number(solver.tol, "solver.tol", positive=True)
+    check_integer(solver.max_iter, "solver.max_iter", 1)
+    check_integer(solver.rank, "solver.rank", 1)
+    if solver.n_neighbors is not None:
+        check_integer(solver.n_neighbors, "solver.n_neighbors", 1)
+    if solver.preconditioner not in PRECONDITIONERS:
+        raise ValueError(
+            f"solver.preconditioner must be one of "
+            f"{', '.join(map(repr, PRECONDITIONERS))}, got {solver.preconditioner!r}."
+        )
