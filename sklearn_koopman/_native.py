@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dpocon, dpotrf, dtrtrs
+from sklearn.utils import gen_batches
 
 from sklearn_koopman._sections import Sections, by_rows, gram_matrix, matrix
 
@@ -48,7 +49,13 @@ class Tail:
             seen = np.full((1, 1), 1 / np.sqrt(n_centers))
             return cls(np.zeros(n_features), seen, np.empty((1, 0)))
         origin = centers.mean(axis=0)
-        scale = np.abs(rows - origin).max(axis=0)
+        scale = np.max(
+            [
+                np.abs(rows[batch] - origin).max(axis=0)
+                for batch in gen_batches(len(rows), 2**20)
+            ],
+            axis=0,
+        )
         # What rounding leaves of a constant feature is no direction to extrapolate in.
         varies = scale > 1e-13 * np.abs(origin)
         inverse = np.divide(1.0, scale, out=np.zeros(n_features), where=varies)

@@ -31,8 +31,9 @@ from sklearn.utils import gen_batches
 
 from sklearn_koopman._bounds import left_out_precision
 from sklearn_koopman._native import NativeBasis, solve_triangular
+from sklearn_koopman._normal import least_squares
 from sklearn_koopman._sections import KernelSections
-from sklearn_koopman._solvers import evaluate, least_squares
+from sklearn_koopman._solvers import evaluate
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

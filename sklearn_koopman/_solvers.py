@@ -4,31 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.blas import dgemm, dnrm2
-from scipy.linalg.lapack import dpocon, dpotrf, dpotri, dpotrs, dpstrf
+from scipy.linalg.blas import dnrm2
+from scipy.linalg.lapack import dpstrf
 from sklearn.utils import gen_batches
 
 from sklearn_koopman._native import (
     NativeBasis,
     Tail,
-    block_rows,
     polynomial,
     solve_triangular,
 )
+from sklearn_koopman._normal import SUSPECT, least_squares
 from sklearn_koopman._sections import Sections, gram_matrix, product
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-# The loop of least squares stays with SciPy's BLAS: NumPy's wheels bring one of their
-# own, and the idle threads of either slow down the other several times.
-
-# Below this reciprocal condition number a solution is verified before it is used.
-SUSPECT = 1e-10
 # Largest error, relative to the values to be met, that passes the verification. Large
 # coefficients of alternating sign cost smooth kernels this much without harm, while
 # leaving out more centres would cost them more.
@@ -78,11 +73,13 @@ def interpolation(points: Array, u: Array) -> Rule:
     return solve
 
 
-def regression(X: Array, y: Array, alpha: float) -> Rule:
+def regression(X: Array, y: Array, alpha: float, n_jobs: int | None) -> Rule:
     """Rule that fits y on all rows of X by least squares."""
 
     def solve(basis: NativeBasis, kept: Indices) -> Solution[NativeBasis]:
-        z, b, freedom = least_squares(basis, X, y.__getitem__, y.shape[1], alpha)
+        z, b, freedom = least_squares(
+            basis, X, y.__getitem__, y.shape[1], alpha, n_jobs
+        )
         dual, trend = basis.coefficients(z, b)
         error = 0.0
         if basis.rcond < SUSPECT:
@@ -93,103 +90,6 @@ def regression(X: Array, y: Array, alpha: float) -> Rule:
         return Solution(basis, kept, dual, trend, column_norms(z), freedom, error)
 
     return solve
-
-
-def least_squares(
-    basis: NativeBasis,
-    X: Array,
-    y: Callable[[slice], Array],
-    n_outputs: int,
-    alpha: float,
-) -> tuple[Array, Array, float]:
-    """Minimise |y - g(X)|^2 + alpha |g|_H^2 over the functions of the basis.
-
-    `y` gives the values for a slice of the rows, so that many need not be held at
-    once. With the values A of a(x), less their part along Q, and T of all polynomials
-    on the rows, the normal equations are
-
-        [A A^T + alpha I   A T^T] [z]   [A y]
-        [    T A^T         T T^T] [b] = [T y]
-
-    of which z is eliminated. A A^T is accumulated and factored in the triangle that
-    the Cholesky factor of the basis leaves unused: memory stays at one M x M matrix.
-
-    Returns
-    -------
-    z : ndarray of shape (M, n_outputs)
-        Coordinates of the kernel part.
-    b : ndarray of shape (n_terms, n_outputs)
-        Coordinates of the polynomials: those the centres see, then the others.
-    freedom : float
-        Trace of the matrix that takes y to the fitted values.
-    """
-    F, M, q = basis.lower, len(basis.lower), basis.Q.shape[1]
-    factor_diagonal = F.diagonal().copy()
-    panels = list(gen_batches(M, max(64, M // 32)))
-    corners = [np.zeros((panel.stop - panel.start,) * 2) for panel in panels]
-    for panel in panels:
-        F[: panel.start, panel] = 0.0
-    n_terms = 0 if basis.tail is None else len(basis.tail.seen)
-    Ay, AT = np.zeros((M, n_outputs)), np.zeros((M, n_terms))
-    Ty, TT = np.zeros((n_terms, n_outputs)), np.zeros((n_terms, n_terms))
-    for rows in gen_batches(len(X), block_rows(M)):
-        a, t = basis.design(X[rows])
-        values = y(rows)
-        Ay += dgemm(1.0, a, values)
-        if n_terms:
-            AT += dgemm(1.0, a, t, trans_b=1)
-            Ty += dgemm(1.0, t, values)
-            TT += dgemm(1.0, t, t, trans_b=1)
-        for panel, corner in zip(panels, corners, strict=True):
-            product = dgemm(1.0, a[: panel.stop], a[panel], trans_b=1)
-            F[: panel.start, panel] += product[: panel.start]
-            corner += product[panel.start :]
-    trace = sum(float(np.trace(corner)) for corner in corners)
-    # Along Q there is nothing but rounding: a number of the size that the rest may
-    # have, by |a(x)|^2 <= k(x, x), makes that part of the matrix regular.
-    along_Q = float(basis.sections.diagonal(X).sum()) / M or 1.0
-    for panel, corner in zip(panels, corners, strict=True):
-        if q:
-            product = along_Q * basis.Q[: panel.stop] @ basis.Q[panel].T
-            F[: panel.start, panel] += product[: panel.start]
-            corner += product[panel.start :]
-        corner[np.diag_indices_from(corner)] += alpha
-        F[panel, panel] = np.triu(corner) + np.tril(F[panel, panel], -1)
-
-    _, info = dpotrf(F, lower=0, clean=0, overwrite_a=1)
-    rcond = (
-        0.0 if info else float(dpocon(F, trace + q * along_Q + M * alpha, uplo="U")[0])
-    )
-    if info or rcond < min(1e-13, 1e-6 * basis.rcond):
-        if basis.rcond < SUSPECT:
-            raise np.linalg.LinAlgError("the normal matrix is not positive definite")
-        raise ValueError(
-            f"method='least_squares' with alpha={alpha}: the rows of X do not "
-            f"determine the coefficients of {M} centres; set alpha > 0, or choose "
-            "fewer centres, nearer to the rows."
-        )
-    solved, _ = dpotrs(F, np.hstack([AT, Ay]), lower=0)
-    N_AT, N_Ay = solved[:, :n_terms], solved[:, n_terms:]
-    # In units in which every polynomial has length one on the rows. Those that the
-    # rows do not tell from the kernel part, or at all, are left at zero.
-    length = np.sqrt(TT.diagonal())
-    unit = np.divide(1.0, length, out=np.zeros(n_terms), where=length > 0)
-    size, axes = np.linalg.eigh(unit[:, np.newaxis] * (TT - AT.T @ N_AT) * unit)
-    told = size > 1e-14
-    axes = unit[:, np.newaxis] * axes[:, told]
-    inverse = axes / size[told] @ axes.T
-    b = inverse @ (Ty - AT.T @ N_Ay)
-    z = N_Ay - N_AT @ b
-    z -= basis.Q @ (basis.Q.T @ z)
-
-    freedom = float(told.sum() + M - q)
-    if alpha > 0:
-        dpotri(F, lower=0, overwrite_c=1)
-        shrunk = F.diagonal().sum() - q / (alpha + along_Q)
-        shrunk += np.sum(inverse * (N_AT.T @ N_AT))
-        freedom -= float(alpha * shrunk)
-    np.fill_diagonal(F, factor_diagonal)
-    return z, b, freedom
 
 
 def solve(
@@ -282,3 +182,16 @@ def evaluate(
     if tail is not None:
         values += polynomial(X, tail.origin, trend)
     return values
+
+
+def residual_norms(
+    solution: Solution[Any], X: Array, y: Array, n_jobs: int | None
+) -> Array:
+    """Return the norms of the residuals of every output, many rows at a time."""
+    basis, norms = solution.basis, np.zeros(y.shape[1])
+    for rows in gen_batches(len(X), 2**20):
+        fitted = evaluate(
+            basis.sections, basis.tail, X[rows], solution.dual, solution.trend, n_jobs
+        )
+        norms = np.hypot(norms, column_norms(y[rows] - fitted))
+    return norms

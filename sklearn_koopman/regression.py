@@ -316,7 +316,7 @@ default="auto"
                     sections,
                     points,
                     nugget,
-                    _solvers.regression(X, outputs, self.alpha)
+                    _solvers.regression(X, outputs, self.alpha, self.n_jobs)
                     if u is None
                     else _solvers.interpolation(points, u),
                     DEGREES[self.trend],
@@ -348,7 +348,12 @@ default="auto"
         # Attributes are set last: a fit that fails leaves the estimator as it was.
         validate_data(self, given, y, skip_check_array=True)
         self._interpolates = interpolates
-        self._store(X, y, kernel, rows, nugget, solution)
+        residual = None
+        if self.method == "least_squares" and not nugget.any():
+            residual = _solvers.residual_norms(
+                solution, X, y.reshape(len(y), -1), self.n_jobs
+            )
+        self._store(solution, rows, nugget, y.shape[1:], len(X), residual)
         self.solver_ = solver
         for name in ("n_iter_", "residual_"):
             self.__dict__.pop(name, None)
@@ -592,26 +597,25 @@ default="auto"
 
     def _store(
         self,
-        X: Array,
-        y: Array,
-        kernel: Any,
+        solution: _solvers.Solution[Any],
         rows: Indices | None,
         nugget: Array,
-        solution: _solvers.Solution[Any],
+        shape: tuple[int, ...],
+        n_rows: int,
+        residual: Array | None,
     ) -> None:
+        """Store an estimate for outputs of this shape, with the residual norms."""
         basis, kept = solution.basis, solution.kept
 
         def shaped(values: Array) -> Any:
-            return values.reshape((*values.shape[:-1], *y.shape[1:]))[()]
+            return values.reshape((*values.shape[:-1], *shape))[()]
 
-        for stale in ("centers_", "trend_coef_", "_norm", "_reach"):
-            if hasattr(self, stale):
-                delattr(self, stale)
-        self.kernel_ = kernel
+        for stale in ("centers_", "trend_coef_", "rcond_", "_norm", "_reach"):
+            self.__dict__.pop(stale, None)
+        self.kernel_ = basis.sections.kernel
         self.center_indices_ = None if rows is None else rows[kept]
         self.dual_coef_ = shaped(solution.dual)
-        self.__dict__.pop("rcond_", None)
-        if isinstance(basis, NativeBasis):
+        if not isinstance(basis, ImplicitBasis):
             self.rcond_ = basis.rcond
         self._sections = basis.sections
         if isinstance(self._sections, KernelSections):
@@ -624,14 +628,9 @@ default="auto"
         degrees = max(len(kept) - basis.Q.shape[1], 1)
         amplitude = solution.seminorm / np.sqrt(degrees)
         noise = amplitude * np.sqrt(self.alpha)
-        spare = len(X) - solution.freedom
-        if (
-            self.method == "least_squares"
-            and spare > 1e-6 * len(X)
-            and not nugget.any()
-        ):
-            residual = y.reshape(len(y), -1) - self._evaluate(X)
-            noise = _solvers.column_norms(residual) / np.sqrt(spare)
+        spare = n_rows - solution.freedom
+        if residual is not None and spare > 1e-6 * n_rows:
+            noise = residual / np.sqrt(spare)
         self.amplitude_ = shaped(amplitude)
         self.noise_ = shaped(noise)
 
