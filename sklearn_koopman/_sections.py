@@ -50,6 +50,10 @@ WIDE = 1e3
 class Sections(Protocol):
     """The kernel sections of M centres, as functions of rows."""
 
+    @property
+    def kernel(self) -> Any:
+        """The kernel."""
+
     def __len__(self) -> int: ...
 
     def __call__(self, X: Array) -> Array:

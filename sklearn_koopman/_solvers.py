@@ -65,7 +65,7 @@ def interpolation(points: Array, u: Array) -> Rule:
         if basis.rcond < SUSPECT:
             reached = evaluate(basis.sections, basis.tail, points[kept], dual, trend)
             reached += basis.excess[:, np.newaxis] * dual
-            error = _relative_error(reached, u[kept])
+            error = relative_error(reached, u[kept])
         return Solution(
             basis, kept, dual, trend, column_norms(z), len(basis.lower), error
         )
@@ -80,16 +80,23 @@ def regression(X: Array, y: Array, alpha: float, n_jobs: int | None) -> Rule:
         z, b, freedom = least_squares(
             basis, X, y.__getitem__, y.shape[1], alpha, n_jobs
         )
-        dual, trend = basis.coefficients(z, b)
-        error = 0.0
-        if basis.rcond < SUSPECT:
-            rows = X[:: max(len(X) // 64, 1)]
-            a, t = basis.design(rows)
-            reached = evaluate(basis.sections, basis.tail, rows, dual, trend)
-            error = _relative_error(reached, a.T @ z + t.T @ b)
-        return Solution(basis, kept, dual, trend, column_norms(z), freedom, error)
+        return fitted(basis, kept, X, z, b, freedom)
 
     return solve
+
+
+def fitted(
+    basis: NativeBasis, kept: Indices, X: Array, z: Array, b: Array, freedom: float
+) -> Solution[NativeBasis]:
+    """Return the estimate with these coordinates, verified on some of the rows."""
+    dual, trend = basis.coefficients(z, b)
+    error = 0.0
+    if basis.rcond < SUSPECT:
+        rows = X[:: max(len(X) // 64, 1)]
+        a, t = basis.design(rows)
+        reached = evaluate(basis.sections, basis.tail, rows, dual, trend)
+        error = relative_error(reached, a.T @ z + t.T @ b)
+    return Solution(basis, kept, dual, trend, column_norms(z), freedom, error)
 
 
 def solve(
@@ -139,6 +146,27 @@ def solve(
         kept = independent_centers(sections, points, nugget, tolerance)
 
 
+def independent_basis(
+    sections: Sections,
+    points: Array,
+    degree: int | None,
+    rows: Array,
+    *,
+    drop_dependent: bool,
+) -> tuple[NativeBasis, Indices]:
+    """Return the native basis of centres that do not depend on others, and which."""
+
+    def accept(basis: NativeBasis, kept: Indices) -> Solution[NativeBasis]:
+        nothing = np.empty((0, 0))
+        return Solution(basis, kept, nothing, nothing, nothing, 0.0, 0.0)
+
+    nugget = np.zeros(len(points))
+    solution, _ = solve(
+        sections, points, nugget, accept, degree, rows, drop_dependent=drop_dependent
+    )
+    return solution.basis, solution.kept
+
+
 def independent_centers(
     sections: Sections, points: Array, nugget: Array, tolerance: float
 ) -> Indices:
@@ -165,7 +193,7 @@ def column_norms(A: Array) -> Array:
     return np.array([dnrm2(column) for column in A.T])
 
 
-def _relative_error(reached: Array, wanted: Array) -> float:
+def relative_error(reached: Array, wanted: Array) -> float:
     return float(np.abs(reached - wanted).max() / (np.abs(wanted).max() or 1.0))
 
 

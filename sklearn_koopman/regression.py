@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,16 @@ from sklearn_koopman._iterative import Converged
 from sklearn_koopman._large import ImplicitBasis
 from sklearn_koopman._native import NativeBasis, Tail
 from sklearn_koopman._sections import DistanceSections, KernelSections, Sections
+from sklearn_koopman._streaming import (
+    GrowingInterpolant,
+    GrowingRegression,
+    merge_equal_rows,
+)
 from sklearn_koopman._validation import check_number
 from sklearn_koopman.centers import (
+    SeparatedCenterSelector,
     check_distances,
     choose_centers,
-    distinct_rows,
-    group_means,
     rows_at_distance_zero,
 )
 from sklearn_koopman.kernels import as_kernel
@@ -266,99 +271,115 @@ default="auto"
         n_features = None if self._precomputed else X.shape[1]
         kernel = as_kernel(self.kernel, self.beta, n_features)
         outputs = y.reshape(len(y), -1)
-        interpolates = self.method == "interpolation"
-        rows: Indices | None
         sections: Sections
-        weight: float | Array = self.alpha
+        u, nugget, scatter = None, None, np.zeros(outputs.shape[1])
         if self._precomputed:
             if not _is_isotropic(kernel):
                 raise ValueError(
                     f"kernel={kernel!r} does not depend on distances alone, which "
                     "centers='precomputed' needs; pass the states and a selector."
                 )
-            rows = rows_at_distance_zero(X)
+            rows: Indices | None = rows_at_distance_zero(X)
             points = X[rows]
             sections = DistanceSections(kernel, np.arange(X.shape[1]))
         elif self.centers is None:
             # Least squares over the sections of all rows is interpolation with alpha.
-            exact = interpolates and self.alpha == 0
-            interpolates = True
-            rows, outputs, counts = _merge_equal_rows(X, outputs, exact)
-            weight = self.alpha / counts
-            points = X[rows]
+            rows, u, counts, scatter = merge_equal_rows(
+                X, outputs, np.ones(len(X)), self._exact, np.arange(len(X))
+            )
+            points, nugget = X[rows], self.alpha / counts
             sections = KernelSections(kernel, points)
         else:
-            points, rows = choose_centers(self.centers, X, y, among_rows=interpolates)
+            points, rows = choose_centers(
+                self.centers, X, y, among_rows=self.method == "interpolation"
+            )
             sections = KernelSections(kernel, points)
-
-        nugget = np.zeros(len(points))
-        u = None
-        if interpolates:
+        if self.method == "interpolation" and u is None:
             assert rows is not None
-            nugget += weight
-            u = outputs if self.centers is None else outputs[rows]
-        elif self.alpha == 0 and len(X) < len(points):
-            raise ValueError(
-                f"method='least_squares' with alpha=0 needs at least as many rows "
-                f"as centres, got {len(X)} rows and {len(points)} centres; set "
-                "alpha > 0 or choose fewer centres."
-            )
-        solver = self._chosen_solver(sections, points)
-        solution: _solvers.Solution[Any]
-        found, tolerance = None, 0.0
-        try:
-            if isinstance(solver, ConjugateGradient):
-                solution, found = self._solve_large(
-                    solver, sections, nugget, X, outputs, u
-                )
-            else:
-                solution, tolerance = _solvers.solve(
-                    sections,
-                    points,
-                    nugget,
-                    _solvers.regression(X, outputs, self.alpha, self.n_jobs)
-                    if u is None
-                    else _solvers.interpolation(points, u),
-                    DEGREES[self.trend],
-                    X if u is None else points,
-                    drop_dependent=solver == "pivoted_cholesky",
-                )
-        except _solvers.UnsuitableKernelError as error:
-            raise ValueError(
-                f"kernel={kernel!r} {error}; rescale them, or take another kernel."
-            ) from error
-        except np.linalg.LinAlgError as error:
-            raise ValueError(
-                f"No estimate for kernel={kernel!r} on {len(points)} centres: {error}. "
-                f"{_REMEDY}"
-            ) from error
-        n_dropped = len(points) - len(solution.kept)
-        # By |<r, e>| <= sqrt(n) |r| sup|e|, a section that the others reproduce to
-        # sqrt(tolerance) moves a regularised fit by about n tolerance / alpha of its
-        # residuals at the most: nothing to act upon.
-        negligible = len(X) * tolerance <= 1e-5 * self.alpha
-        if n_dropped and not (self.method == "least_squares" and negligible):
-            warnings.warn(
-                f"The Gram matrix of kernel={kernel!r} on {len(points)} centres is "
-                f"numerically singular; {n_dropped} centres that depend on the others "
-                f"were left out. {_REMEDY}",
-                LinAlgWarning,
-                stacklevel=2,
-            )
-        # Attributes are set last: a fit that fails leaves the estimator as it was.
-        validate_data(self, given, y, skip_check_array=True)
-        self._interpolates = interpolates
+            u, nugget = outputs[rows], np.full(len(points), self.alpha)
+            counts = np.ones(len(points))
+        if nugget is None:
+            nugget = np.zeros(len(points))
+        solver, solution, found = self._solve(sections, points, nugget, X, outputs, u)
         residual = None
         if self.method == "least_squares" and not nugget.any():
-            residual = _solvers.residual_norms(
-                solution, X, y.reshape(len(y), -1), self.n_jobs
-            )
+            residual = _solvers.residual_norms(solution, X, outputs, self.n_jobs)
+        # Attributes are set last: a fit that fails leaves the estimator as it was.
+        validate_data(self, given, y, skip_check_array=True)
+        self._forget()
         self._store(solution, rows, nugget, y.shape[1:], len(X), residual)
         self.solver_ = solver
-        for name in ("n_iter_", "residual_"):
-            self.__dict__.pop(name, None)
         if found is not None:
             self.n_iter_, self.residual_ = found.n_iter, found.residual
+        if u is not None:
+            self._values, self._scatter = u[solution.kept], scatter
+            self._counts = counts[solution.kept]
+        return self
+
+    def partial_fit(self, X: Any, y: Any) -> KoopmanKernelRegressor:
+        """Learn from further rows, as if all had been given to one `fit`.
+
+        Interpolation adds the rows that become centres, k of them, to the Cholesky
+        factor, in O(k M^2) operations: with ``centers=None`` all that are new, with a
+        :class:`SeparatedCenterSelector` those farther than its separation from all
+        centres so far. Least squares at given centres adds the rows to its normal
+        equations, so that memory does not grow with their number.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            The states.
+        y : array-like of shape (n_samples,) or (n_samples, n_outputs)
+            The outputs one step after each row.
+
+        Returns
+        -------
+        self : KoopmanKernelRegressor
+            The estimate from all rows so far.
+
+        Raises
+        ------
+        ValueError
+            As in `fit`; for centres and solvers that cannot grow; for outputs of
+            another shape than before; for least squares at chosen centres after
+            `fit` or after loading from a pickle, neither of which keeps its sums.
+
+        Notes
+        -----
+        Least squares with a selector keeps the rows, and starts anew when a batch
+        brings new centres. To stream through recordings that are larger than memory,
+        find the centres first, by `SeparatedCenterSelector.partial_fit`, and give them
+        as an array.
+
+        After centres have been added, `rcond_` is an upper bound by the pivots of the
+        factor. Where they come close to being dependent, all are factored anew, and
+        left out as in `fit`. `noise_` of least squares is a difference of sums, and not
+        told where it is below about 1e-8 of the outputs.
+        """
+        started = hasattr(self, "dual_coef_")
+        given = X
+        X, y = check_X_y(
+            X, y, multi_output=True, y_numeric=True, dtype=np.float64, estimator=self
+        )
+        y = np.asarray(y, dtype=np.float64)
+        self._check_parameters()
+        self._check_growth()
+        if started:
+            validate_data(self, given, y, reset=False, skip_check_array=True)
+            if y.shape[1:] != self.dual_coef_.shape[1:]:
+                raise ValueError(
+                    f"y has shape {y.shape}, but predictions for {len(y)} rows so far "
+                    f"have {(len(y), *self.dual_coef_.shape[1:])}; give the same "
+                    "outputs in every batch."
+                )
+        if self.method == "interpolation" or self.centers is None:
+            if started:
+                self._add_centers(X, y)
+            else:
+                self.fit(given, y)
+            return self
+        self._add_rows(X, y, started)
+        validate_data(self, given, y, reset=not started, skip_check_array=True)
         return self
 
     def predict(self, X: Any, return_std: bool = False) -> Array | tuple[Array, Array]:
@@ -515,9 +536,14 @@ default="auto"
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what is large, or long to compute, and follows from the rest."""
         state = dict(super().__getstate__())
-        for name in ("_basis", "_norm", "_reach"):
+        for name in ("_basis", "_norm", "_reach", "_growth", "_batches", "_selector"):
             state.pop(name, None)
         return state
+
+    @property
+    def _exact(self) -> bool:
+        """Whether equal rows with different outputs are an error."""
+        return self.method == "interpolation" and self.alpha == 0
 
     @property
     def _precomputed(self) -> bool:
@@ -552,48 +578,261 @@ default="auto"
                 "distances only; pass the states and centers=SeparatedCenterSelector()."
             )
 
-    def _chosen_solver(
-        self, sections: Sections, points: Array
-    ) -> str | ConjugateGradient:
-        if isinstance(self.solver, ConjugateGradient):
-            return clone(self.solver)
-        if self.solver != "auto":
-            return str(self.solver)
-        if _large.is_large(sections, points):
-            return ConjugateGradient()
-        return "pivoted_cholesky"
-
-    def _solve_large(
+    def _solve(
         self,
-        solver: ConjugateGradient,
         sections: Sections,
+        points: Array,
         nugget: Array,
         X: Array,
         y: Array,
         u: Array | None,
-    ) -> tuple[_solvers.Solution[ImplicitBasis], Converged]:
+    ) -> tuple[str | ConjugateGradient, _solvers.Solution[Any], Converged | None]:
         """Interpolate u at the centres, or fit y where there is none."""
-        assert isinstance(sections, KernelSections)
+        kernel: Any = sections.kernel
+        solver: str | ConjugateGradient = self.solver
+        if u is None and self.alpha == 0 and len(X) < len(points):
+            raise ValueError(
+                f"method='least_squares' with alpha=0 needs at least as many rows "
+                f"as centres, got {len(X)} rows and {len(points)} centres; set "
+                "alpha > 0 or choose fewer centres."
+            )
+        if not isinstance(solver, str):
+            solver = clone(solver)
+        elif solver == "auto":
+            large = _large.is_large(sections, points)
+            solver = ConjugateGradient() if large else "pivoted_cholesky"
         degree = DEGREES[self.trend]
-        tail = None
-        if degree is not None:
-            rows = X if u is None else sections.centers
-            tail = Tail.on(sections.centers, degree, rows)
-        basis = ImplicitBasis.of(sections, nugget, tail, solver, self.n_jobs)
-        if u is not None:
-            solution, found = _large.interpolate(basis, u)
-        else:
-            solution, found = _large.regress(basis, X, y, self.alpha, self.n_jobs)
+        extent = X if u is None else points
+        solution: _solvers.Solution[Any]
+        found, tolerance = None, 0.0
+        try:
+            if isinstance(solver, ConjugateGradient):
+                assert isinstance(sections, KernelSections)
+                tail = None if degree is None else Tail.on(points, degree, extent)
+                basis = ImplicitBasis.of(sections, nugget, tail, solver, self.n_jobs)
+                solution, found = (
+                    _large.regress(basis, X, y, self.alpha, self.n_jobs)
+                    if u is None
+                    else _large.interpolate(basis, u)
+                )
+            else:
+                solution, tolerance = _solvers.solve(
+                    sections,
+                    points,
+                    nugget,
+                    _solvers.regression(X, y, self.alpha, self.n_jobs)
+                    if u is None
+                    else _solvers.interpolation(points, u),
+                    degree,
+                    extent,
+                    drop_dependent=solver == "pivoted_cholesky",
+                )
+        except _solvers.UnsuitableKernelError as error:
+            raise ValueError(
+                f"kernel={kernel!r} {error}; rescale them, or take another kernel."
+            ) from error
+        except np.linalg.LinAlgError as error:
+            raise ValueError(
+                f"No estimate for kernel={kernel!r} on {len(points)} centres: {error}. "
+                f"{_REMEDY}"
+            ) from error
+        # By |<r, e>| <= sqrt(n) |r| sup|e|, a section that the others reproduce to
+        # sqrt(tolerance) moves a regularised fit by about n tolerance / alpha of its
+        # residuals at the most: nothing to act upon.
+        negligible = len(X) * tolerance <= 1e-5 * self.alpha
+        if not (self.method == "least_squares" and negligible):
+            self._warn_left_out(kernel, len(points), len(solution.kept))
+        if isinstance(solver, ConjugateGradient) and found is not None:
+            self._warn_not_converged(kernel, len(points), solver, found)
+        return solver, solution, found
+
+    @staticmethod
+    def _warn_left_out(kernel: Any, n_centers: int, n_kept: int) -> None:
+        if n_kept < n_centers:
+            warnings.warn(
+                f"The Gram matrix of kernel={kernel!r} on {n_centers} centres is "
+                f"numerically singular; {n_centers - n_kept} centres that depend on "
+                f"the others were left out. {_REMEDY}",
+                LinAlgWarning,
+                stacklevel=4,
+            )
+
+    @staticmethod
+    def _warn_not_converged(
+        kernel: Any, n_centers: int, solver: ConjugateGradient, found: Converged
+    ) -> None:
         if found.residual > solver.tol:
             warnings.warn(
-                f"Conjugate gradients for kernel={sections.kernel!r} on "
-                f"{len(sections)} centres ended after {found.n_iter} iterations with a "
-                f"relative residual of {found.residual:.1e}, above tol={solver.tol:.1e}"
-                f". Raise max_iter, rank, n_neighbors or tol of the solver. {_REMEDY}",
+                f"Conjugate gradients for kernel={kernel!r} on {n_centers} centres "
+                f"ended after {found.n_iter} iterations with a relative residual of "
+                f"{found.residual:.1e}, above tol={solver.tol:.1e}. Raise max_iter, "
+                f"rank, n_neighbors or tol of the solver. {_REMEDY}",
                 ConvergenceWarning,
-                stacklevel=3,
+                stacklevel=4,
             )
-        return solution, found
+
+    def _check_growth(self) -> None:
+        """Refuse what `partial_fit` cannot extend."""
+        solver = getattr(self, "solver_", self.solver)
+        if isinstance(solver, ConjugateGradient):
+            raise ValueError(
+                "partial_fit extends a Cholesky factor, which conjugate gradients do "
+                "not have; fit with solver='pivoted_cholesky' from the first batch on."
+            )
+        chooses = isinstance(self.centers, SeparatedCenterSelector)
+        given = not (self.centers is None or chooses or hasattr(self.centers, "fit"))
+        if self._precomputed or not (
+            self.centers is None
+            or chooses
+            or (given and self.method == "least_squares")
+        ):
+            raise ValueError(
+                "partial_fit adds centres with centers=None or a "
+                "SeparatedCenterSelector, and rows with method='least_squares' and an "
+                f"array of centres, got centers={type(self.centers).__name__} and "
+                f"method={self.method!r}."
+            )
+        if hasattr(self, "_settings") and self._settings != self._current_settings():
+            raise ValueError(
+                "Parameters were changed since the first batch; set them back, or call "
+                "fit to start anew."
+            )
+
+    def _current_settings(self) -> tuple[Any, ...]:
+        kernel = as_kernel(self.kernel, self.beta, None)
+        return repr(kernel), self.method, self.alpha, self.trend
+
+    def _add_centers(self, X: Array, y: Array) -> None:
+        """Extend an interpolant by the rows that become centres."""
+        assert self.center_indices_ is not None
+        outputs, M = y.reshape(len(y), -1), len(self.centers_)
+        numbers = np.append(self.center_indices_, self._n_seen + np.arange(len(X)))
+        scatter = self._scatter
+        if self.centers is None:
+            rows, u, counts, more = merge_equal_rows(
+                np.vstack([self.centers_, X]),
+                np.vstack([self._values, outputs]),
+                np.append(self._counts, np.ones(len(X))),
+                self._exact,
+                numbers,
+            )
+            nugget, scatter = self.alpha / counts, scatter + more
+            selector = None
+        else:
+            selector, new = self._grown_selector(X)
+            rows = np.append(np.arange(M), M + new)
+            u = np.vstack([self._values, outputs[new]])
+            counts = np.ones(len(u))
+            nugget = np.full(len(u), self.alpha)
+        points = np.vstack([self.centers_, X])[rows]
+        sections = KernelSections(self.kernel_, points)
+        solution: _solvers.Solution[Any]
+        try:
+            if not np.array_equal(nugget[:M], self._nugget):
+                raise np.linalg.LinAlgError("the weights of old centres have changed")
+            growth = getattr(self, "_basis", None)
+            if not isinstance(growth, GrowingInterpolant):
+                growth = GrowingInterpolant.of(
+                    self._native_basis(), self.centers_, self._values
+                )
+            if len(points) > M:
+                growth.extend(sections, points[M:], nugget[M:], u[M:])
+            if not np.array_equal(u[:M], self._values):
+                growth.v = growth.factor.forward(u)
+            solution = growth.solution(u)
+        except np.linalg.LinAlgError:
+            _, solution, _ = self._solve(sections, points, nugget, points, u, u)
+        residual = None
+        if self.method == "least_squares" and not nugget.any():
+            residual = np.sqrt(scatter)
+        n_seen = self._n_seen + len(X)
+        shape = self.dual_coef_.shape[1:]
+        self._store(solution, numbers[rows], nugget, shape, n_seen, residual)
+        self._values, self._scatter = u[solution.kept], scatter
+        self._counts = counts[solution.kept]
+        if selector is not None:
+            self._selector = selector
+
+    def _grown_selector(self, X: Array) -> tuple[SeparatedCenterSelector, Indices]:
+        """Return the selector after further rows, and which of them are new centres."""
+        selector = getattr(self, "_selector", None)
+        if selector is None:
+            selector = clone(self.centers)
+            if hasattr(self, "centers_"):
+                selector.partial_fit(self.centers_)
+        n_seen, n_known = 0, 0
+        if hasattr(selector, "center_indices_"):
+            n_seen, n_known = selector.n_samples_seen_, len(selector.center_indices_)
+        selector = copy(selector).partial_fit(X)
+        return selector, selector.center_indices_[n_known:] - n_seen
+
+    def _add_rows(self, X: Array, y: Array, started: bool) -> None:
+        """Add rows to least squares at chosen centres."""
+        if started and not hasattr(self, "_growth"):
+            raise ValueError(
+                "partial_fit of least squares at chosen centres continues from the "
+                "sums of earlier batches, which neither fit nor a pickle keeps; call "
+                "partial_fit from the first batch on."
+            )
+        outputs = y.reshape(len(y), -1)
+        growth, selector, rows = getattr(self, "_growth", None), None, None
+        batches = [(X, outputs)]
+        if isinstance(self.centers, SeparatedCenterSelector):
+            selector, new = self._grown_selector(X)
+            batches = [*getattr(self, "_batches", []), *batches]
+            rows = selector.center_indices_
+            points = selector.cluster_centers_
+            if len(new):
+                growth = None
+        if growth is None:
+            if selector is None:
+                points, _ = choose_centers(self.centers, X, y, among_rows=False)
+            growth = self._new_growth(X, points, outputs.shape[1])
+            for batch in batches:
+                growth.add(*batch)
+        else:
+            growth.add(X, outputs)
+        try:
+            solution, residual = growth.solution(self.alpha, X)
+        except np.linalg.LinAlgError as error:
+            raise ValueError(f"No estimate: {error}. {_REMEDY}") from error
+        if rows is not None:
+            rows = rows[growth.kept]
+        nugget = np.zeros(len(solution.dual))
+        self._store(solution, rows, nugget, y.shape[1:], growth.n_rows, residual)
+        self.solver_ = "cholesky" if self.solver == "cholesky" else "pivoted_cholesky"
+        self._growth = growth
+        if selector is not None:
+            self._selector, self._batches = selector, batches
+
+    def _new_growth(self, X: Array, points: Array, n_outputs: int) -> GrowingRegression:
+        """Factor the Gram matrix at centres that rows are going to be fitted with."""
+        kernel = as_kernel(self.kernel, self.beta, X.shape[1])
+        try:
+            basis, kept = _solvers.independent_basis(
+                KernelSections(kernel, points),
+                points,
+                DEGREES[self.trend],
+                X,
+                drop_dependent=self.solver != "cholesky",
+            )
+        except _solvers.UnsuitableKernelError as error:
+            raise ValueError(
+                f"kernel={kernel!r} {error}; rescale them, or take another kernel."
+            ) from error
+        except np.linalg.LinAlgError as error:
+            raise ValueError(
+                f"No estimate for kernel={kernel!r} on {len(points)} centres: {error}. "
+                f"{_REMEDY}"
+            ) from error
+        self._warn_left_out(kernel, len(points), len(kept))
+        return GrowingRegression.of(basis, kept, n_outputs)
+
+    def _forget(self) -> None:
+        """Remove what an earlier fit has left."""
+        for name in ("_growth", "_selector", "_batches", "_values", "n_iter_"):
+            self.__dict__.pop(name, None)
+        self.__dict__.pop("residual_", None)
 
     def _store(
         self,
@@ -633,6 +872,8 @@ default="auto"
             noise = residual / np.sqrt(spare)
         self.amplitude_ = shaped(amplitude)
         self.noise_ = shaped(noise)
+        self._n_seen = n_rows
+        self._settings = self._current_settings()
 
     def _evaluate(self, X: Array) -> Array:
         dual = self.dual_coef_.reshape(len(self.dual_coef_), -1)
@@ -720,6 +961,8 @@ default="auto"
 
     def _fitted_basis(self) -> NativeBasis | ImplicitBasis:
         if hasattr(self, "_basis"):
+            if isinstance(self._basis, GrowingInterpolant):
+                return self._basis.native()
             return self._basis
         if not isinstance(self._sections, KernelSections):
             raise ValueError(
@@ -761,25 +1004,3 @@ def _is_isotropic(kernel: Any) -> bool:
     except ValueError:  # one scale for each of several features
         return False
     return True
-
-
-def _merge_equal_rows(
-    X: Array, y: Array, exact: bool
-) -> tuple[Indices, Array, Indices]:
-    """Return the first of equal rows, their mean outputs, and their numbers."""
-    rows, group, counts = distinct_rows(X)
-    if len(rows) == len(X):
-        return rows, y, counts
-    mean = group_means(y, group)
-    deviation = np.abs(y - mean[group]).max(axis=1)
-    worst = int(deviation.argmax())
-    if exact and deviation[worst] > 1e-10 * np.abs(y).max():
-        equal = np.flatnonzero(group == group[worst])
-        first = equal[0]
-        other = equal[np.abs(y[equal] - y[first]).max(axis=1).argmax()]
-        raise ValueError(
-            f"rows {first} and {other} of X are equal but their outputs differ: "
-            f"with alpha=0 no function interpolates both. Set alpha > 0 or "
-            "method='least_squares', or add delays to the states."
-        )
-    return rows, mean, counts

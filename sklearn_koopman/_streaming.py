@@ -1,0 +1,322 @@
+"""Estimates that grow with their data: block updates of the Cholesky factor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.blas import dgemm
+from scipy.linalg.lapack import dpotrf
+
+from sklearn_koopman._native import SINGULAR, NativeBasis, Tail, solve_triangular
+from sklearn_koopman._normal import SUSPECT, NormalEquations
+from sklearn_koopman._sections import Sections, gram_matrix, matrix
+from sklearn_koopman._solvers import (
+    ACCURACY,
+    Solution,
+    column_norms,
+    evaluate,
+    fitted,
+    relative_error,
+)
+from sklearn_koopman.centers import distinct_rows
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+# A factor is put together when rows have been added so many times, or so many rows in
+# relation to those before.
+TIMES = 64
+GROWN = 0.25
+# The bound of the reciprocal condition number by pivots is this much too high.
+OPTIMISM = 1e3
+# Centres at which a suspect interpolant is verified.
+VERIFIED = 128
+
+
+@dataclass
+class GrowingFactor:
+    """A Cholesky factor in blocks of rows: added ones need no copy of the others."""
+
+    blocks: list[Array]  # in Fortran order, of shape (rows, columns up to their last)
+
+    def __len__(self) -> int:
+        return self.blocks[-1].shape[1]
+
+    def diagonal(self) -> Array:
+        """Return its diagonal."""
+        return np.concatenate(
+            [block[:, -len(block) :].diagonal() for block in self.blocks]
+        )
+
+    def forward(self, b: Array) -> Array:
+        """Return L^-1 b."""
+        x = np.array(b, order="F")
+        for block in self.blocks:
+            start, stop = block.shape[1] - len(block), block.shape[1]
+            rest = x[start:stop]
+            if start:
+                rest = dgemm(-1.0, block[:, :start], x[:start], 1.0, rest)
+            x[start:stop] = solve_triangular(_square(block), rest)
+        return x
+
+    def backward(self, v: Array) -> Array:
+        """Return L^-T v."""
+        x = np.array(v, order="F")
+        for block in reversed(self.blocks):
+            start, stop = block.shape[1] - len(block), block.shape[1]
+            own = solve_triangular(_square(block), x[start:stop], transpose=True)
+            x[start:stop] = own
+            if start:
+                x[:start] -= dgemm(1.0, block[:, :start], own, trans_a=1)
+        return x
+
+    def extend(self, added: Array, lower: Array) -> None:
+        """Add rows: L^-1 times the columns of the matrix, and their own factor."""
+        self.blocks.append(np.asfortranarray(np.hstack([added.T, lower])))
+        grown = sum(len(block) for block in self.blocks[1:])
+        if grown > GROWN * len(self.blocks[0]) or len(self.blocks) > TIMES:
+            self.join()
+
+    def join(self) -> Array:
+        """Put the blocks together, and return them as one array.
+
+        What is above its diagonal has no meaning.
+        """
+        if len(self.blocks) > 1:
+            L = np.empty((len(self), len(self)), order="F")
+            for block in self.blocks:
+                start, stop = block.shape[1] - len(block), block.shape[1]
+                L[start:stop, :stop] = block
+            self.blocks = [L]
+        return self.blocks[0]
+
+
+def _square(block: Array) -> Array:
+    size = len(block)
+    return block if block.shape[1] == size else block[:, -size:]
+
+
+@dataclass
+class GrowingInterpolant:
+    """An interpolant that takes more centres.
+
+    The values u at the centres and the monomials of the tail stay transformed by the
+    inverse of the factor, which added rows do not change.
+    """
+
+    sections: Sections
+    centers: Array
+    excess: Array
+    rcond: float  # an upper bound, once centres have been added
+    tail: Tail | None
+    Q: Array
+    R: Array
+    factor: GrowingFactor
+    v: Array  # L^-1 u
+    VP: Array  # L^-1 times the monomials 1 and x - origin, without a tail no columns
+    origin: Array
+
+    @classmethod
+    def of(cls, basis: NativeBasis, centers: Array, u: Array) -> GrowingInterpolant:
+        """Continue from the basis of an interpolant of u."""
+        factor = GrowingFactor([basis.lower])
+        origin = centers[0].copy()
+        return cls(
+            basis.sections,
+            centers,
+            basis.excess,
+            basis.rcond,
+            basis.tail,
+            basis.Q,
+            basis.R,
+            factor,
+            factor.forward(u),
+            factor.forward(_monomials(basis.tail, centers, origin)),
+            origin,
+        )
+
+    def native(self) -> NativeBasis:
+        """Return the basis with its factor in one piece."""
+        return NativeBasis(
+            self.sections,
+            self.factor.join(),
+            self.excess,
+            self.rcond,
+            self.tail,
+            self.Q,
+            self.R,
+        )
+
+    def extend(
+        self, sections: Sections, points: Array, nugget: Array, u: Array
+    ) -> None:
+        """Add centres, the last ones of the sections, with their values.
+
+        Raises
+        ------
+        LinAlgError
+            If the factor has no digits to spare for that. Nothing is changed then.
+        """
+        M = len(self.centers)
+        new = np.arange(M, M + len(points))
+        corner, excess, _ = gram_matrix(sections.take(new), points, nugget)
+        added = self.factor.forward(matrix(self.sections, points).T)
+        left = dgemm(-1.0, added, added, 1.0, corner, trans_a=1)
+        lower, info = dpotrf(left, lower=1, clean=0, overwrite_a=1)
+        pivots = np.append(self.factor.diagonal(), lower.diagonal())
+        rcond = min(self.rcond, float(pivots.min() / pivots.max()) ** 2)
+        if info != 0 or not rcond > SINGULAR:
+            raise np.linalg.LinAlgError("the Gram matrix is not positive definite")
+
+        def continued(before: Array, values: Array) -> Array:
+            rest = values - dgemm(1.0, added, before, trans_a=1)
+            return np.vstack([before, solve_triangular(lower, rest)])
+
+        self.v = continued(self.v, u)
+        if self.tail is not None:
+            monomials = _monomials(self.tail, points, self.origin)
+            self.VP = continued(self.VP, monomials)
+        self.factor.extend(added, lower)
+        self.sections = sections
+        self.centers = np.vstack([self.centers, points])
+        self.excess = np.append(self.excess, excess)
+        self.rcond = rcond
+        if self.tail is not None:
+            degree = 0 if len(self.tail.seen) == 1 else 1
+            self.tail = Tail.on(self.centers, degree, self.centers)
+            # The same polynomials in the monomials about the first origin.
+            seen = self.tail.seen.copy()
+            if degree == 1:
+                seen[0] += (self.origin - self.tail.origin) @ seen[1:]
+            self.Q, self.R = np.linalg.qr(self.VP @ seen)
+        else:
+            self.Q = np.empty((len(self.centers), 0))
+
+    def solution(self, u: Array) -> Solution[GrowingInterpolant]:
+        """Return the interpolant of u.
+
+        Raises
+        ------
+        LinAlgError
+            If it misses its values.
+        """
+        b = self.Q.T @ self.v
+        z = self.v - self.Q @ b
+        dual = self.factor.backward(z)
+        trend = np.empty((0, z.shape[1]))
+        if self.tail is not None:
+            trend = self.tail.seen @ np.linalg.solve(self.R, b)
+        if self.rcond < OPTIMISM * SUSPECT:
+            some = np.arange(0, len(u), max(len(u) // VERIFIED, 1))
+            reached = evaluate(
+                self.sections, self.tail, self.centers[some], dual, trend
+            )
+            reached += self.excess[some, np.newaxis] * dual[some]
+            if relative_error(reached, u[some]) > ACCURACY:
+                raise np.linalg.LinAlgError("the interpolant misses its values")
+        kept = np.arange(len(z))
+        return Solution(self, kept, dual, trend, column_norms(z), len(z), 0.0)
+
+
+def _monomials(tail: Tail | None, centers: Array, origin: Array) -> Array:
+    if tail is None:
+        return np.empty((len(centers), 0))
+    ones = np.ones((len(centers), 1))
+    return ones if len(tail.seen) == 1 else np.hstack([ones, centers - origin])
+
+
+@dataclass
+class GrowingRegression:
+    """Least squares at fixed centres over rows that are added up."""
+
+    basis: NativeBasis
+    kept: Indices  # which of the centres offered carry the estimate
+    equations: NormalEquations
+    n_rows: int
+
+    @classmethod
+    def of(cls, basis: NativeBasis, kept: Indices, n_outputs: int) -> GrowingRegression:
+        """Start without rows."""
+        equations = NormalEquations.empty(basis, basis.lower, n_outputs)
+        return cls(basis, kept, equations, 0)
+
+    def add(self, X: Array, y: Array) -> None:
+        """Add rows."""
+        self.equations.add(self.basis, X, y.__getitem__)
+        self.n_rows += len(X)
+
+    def solution(self, alpha: float, X: Array) -> tuple[Solution[NativeBasis], Array]:
+        """Return the estimate, verified on these rows, and the norms of its residuals.
+
+        Raises
+        ------
+        LinAlgError
+            If rounding leaves too few digits.
+        """
+        basis = self.basis
+        F = np.empty_like(basis.lower)
+        z, b, freedom = self.equations.solve(basis, alpha, F)
+        residual = self.equations.residual_norms(z, b)
+        solution = fitted(basis, self.kept, X, z, b, freedom)
+        if solution.error > ACCURACY:
+            raise np.linalg.LinAlgError(
+                f"the solution misses its values by {solution.error:.1e}"
+            )
+        return solution, residual
+
+
+def merge_equal_rows(
+    X: Array, y: Array, weights: Array, exact: bool, numbers: Indices
+) -> tuple[Indices, Array, Array, Array]:
+    """Average the outputs of equal rows.
+
+    Parameters
+    ----------
+    X : ndarray of shape (n_samples, n_features)
+        The states.
+    y : ndarray of shape (n_samples, n_outputs)
+        The outputs.
+    weights : ndarray of shape (n_samples,)
+        How many rows each row stands for.
+    exact : bool
+        Whether equal rows must have equal outputs.
+    numbers : ndarray of shape (n_samples,)
+        The numbers of the rows, for the error.
+
+    Returns
+    -------
+    first : ndarray of shape (n_distinct,)
+        The first of each lot of equal rows, in rising order.
+    mean : ndarray of shape (n_distinct, n_outputs)
+        Their mean outputs.
+    counts : ndarray of shape (n_distinct,)
+        How many rows they stand for.
+    scatter : ndarray of shape (n_outputs,)
+        Sum of the squared deviations from the means.
+
+    Raises
+    ------
+    ValueError
+        If `exact`, and equal rows have different outputs.
+    """
+    first, group, _ = distinct_rows(X)
+    if len(first) == len(X):
+        return first, y, weights, np.zeros(y.shape[1])
+    counts = np.zeros(len(first))
+    np.add.at(counts, group, weights)
+    mean = np.zeros((len(first), y.shape[1]))
+    np.add.at(mean, group, weights[:, np.newaxis] * y)
+    mean /= counts[:, np.newaxis]
+    deviation = y - mean[group]
+    worst = int(np.abs(deviation).max(axis=1).argmax())
+    if exact and np.abs(deviation[worst]).max() > 1e-10 * np.abs(y).max():
+        equal = np.flatnonzero(group == group[worst])
+        other = equal[np.abs(y[equal] - y[equal[0]]).max(axis=1).argmax()]
+        raise ValueError(
+            f"rows {numbers[equal[0]]} and {numbers[other]} of X are equal but their "
+            "outputs differ: with alpha=0 no function interpolates both. Set alpha > 0 "
+            "or method='least_squares', or add delays to the states."
+        )
+    return first, mean, counts, weights @ deviation**2
