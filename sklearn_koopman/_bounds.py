@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm
@@ -10,6 +13,7 @@ from scipy.linalg.lapack import dtrtri
 from sklearn_koopman._native import NativeBasis, Tail
 from sklearn_koopman._sections import Sections
 from sklearn_koopman._solvers import interpolation
+from sklearn_koopman._validation import check_number
 from sklearn_koopman.centers import farthest_centers
 
 Array = NDArray[np.float64]
@@ -82,3 +86,42 @@ def native_norm(
     coarse = interpolation(centers, values)(basis, half).seminorm
     part = np.divide(coarse, seminorm, out=np.ones_like(seminorm), where=seminorm > 0)
     return np.asarray(seminorm * np.sqrt(2 - np.minimum(part, 1.0) ** 2))
+
+
+def given_norms(norm: Any, n_outputs: int) -> Array:
+    """Return one norm for each output; refuse anything but numbers of 0 or above."""
+    norms = np.atleast_1d(np.asarray(norm, dtype=object))
+    if norms.ndim > 1 or norms.size not in (1, n_outputs):
+        raise ValueError(
+            f"norm must be a number, or one for each of {n_outputs} outputs, got an "
+            f"array of shape {norms.shape}."
+        )
+    for value in norms:
+        check_number(value, "norm")
+    return np.broadcast_to(norms.astype(np.float64), n_outputs)
+
+
+def warn_off_manifold(
+    basis: NativeBasis, variance: Array, diagonal: Array, reach: float
+) -> None:
+    """Warn of states at which the power function exceeds the reach of the centres."""
+    off = np.sqrt(variance) > reach * (1 + 1e-6)
+    off |= np.isinf(variance)
+    if basis.tail is None:
+        off |= variance > (1 - 1e-6) * diagonal
+    if not off.any():
+        return
+    if np.isfinite(reach):
+        limit = f"at most {reach:.2g} at centres left out of the others"
+    elif len(basis.lower) == 1:
+        limit = "there is one centre only"
+    else:
+        limit = "no centre tells anything of the others, either: raise beta"
+    warnings.warn(
+        f"{off.sum()} of {len(off)} states are off the manifold of the centres: the "
+        f"power function is up to {np.sqrt(variance.max()):.2g} there ({limit}). "
+        "Predictions are extrapolation there; learn from samples that cover such "
+        "states, or leave them out.",
+        UserWarning,
+        stacklevel=3,
+    )

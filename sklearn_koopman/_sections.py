@@ -38,6 +38,9 @@ TILE_ROWS = 64
 SPARSE = 0.01
 # ... for so many rows at a time.
 SPARSE_ROWS = 2**14
+# Entries for which it is worth the 0.1 ms that it takes to hold BLAS to one thread:
+# several would wait for each other at every tile.
+LONG = 2**19
 # With more features than this, distances by matrix products are the faster ones.
 FEW_FEATURES = 4
 # Products lose the digits of distances far below the size of the states, in units of
@@ -228,7 +231,10 @@ def product(
     height = _height(len(sections))
     n_tiles = -(-len(X) // (8 * effective_n_jobs(n_jobs) * height))
     n_rows = min(n_tiles, max(2**16 // height, 1)) * height
-    return by_rows(evaluated, X, n_rows, n_jobs)
+    if len(X) * len(sections) < LONG:
+        return by_rows(evaluated, X, n_rows, n_jobs)
+    with one_thread():
+        return by_rows(evaluated, X, n_rows, n_jobs)
 
 
 def is_sparse(sections: Sections, X: Array, below: float = SPARSE) -> bool:

@@ -267,21 +267,40 @@ class GrowingRegression:
         return solution, residual
 
 
+@dataclass(frozen=True)
+class Values:
+    """Outputs at distinct states, as means of the rows that are equal."""
+
+    means: Array  # (n_distinct, n_outputs)
+    counts: Array  # (n_distinct,): how many rows each stands for
+    scatter: Array  # (n_outputs,): sum of the squared deviations from the means
+
+    def take(self, rows: Indices) -> Values:
+        """Return the values at some of the states."""
+        return Values(self.means[rows], self.counts[rows], self.scatter)
+
+    def joined(self, y: Array) -> Values:
+        """Return these values with those of further rows."""
+        return Values(
+            np.vstack([self.means, y]),
+            np.append(self.counts, np.ones(len(y))),
+            self.scatter,
+        )
+
+
 def merge_equal_rows(
-    X: Array, y: Array, weights: Array, exact: bool, numbers: Indices
-) -> tuple[Indices, Array, Array, Array]:
-    """Average the outputs of equal rows.
+    X: Array, values: Values, exact: bool, numbers: Indices
+) -> tuple[Indices, Values]:
+    """Average the values of equal rows.
 
     Parameters
     ----------
     X : ndarray of shape (n_samples, n_features)
         The states.
-    y : ndarray of shape (n_samples, n_outputs)
-        The outputs.
-    weights : ndarray of shape (n_samples,)
-        How many rows each row stands for.
+    values : Values
+        Their values.
     exact : bool
-        Whether equal rows must have equal outputs.
+        Whether equal rows must have equal values.
     numbers : ndarray of shape (n_samples,)
         The numbers of the rows, for the error.
 
@@ -289,34 +308,33 @@ def merge_equal_rows(
     -------
     first : ndarray of shape (n_distinct,)
         The first of each lot of equal rows, in rising order.
-    mean : ndarray of shape (n_distinct, n_outputs)
-        Their mean outputs.
-    counts : ndarray of shape (n_distinct,)
-        How many rows they stand for.
-    scatter : ndarray of shape (n_outputs,)
-        Sum of the squared deviations from the means.
+    merged : Values
+        The values there.
 
     Raises
     ------
     ValueError
-        If `exact`, and equal rows have different outputs.
+        If `exact`, and equal rows have different values.
     """
     first, group, _ = distinct_rows(X)
     if len(first) == len(X):
-        return first, y, weights, np.zeros(y.shape[1])
+        return first, values
     counts = np.zeros(len(first))
-    np.add.at(counts, group, weights)
-    mean = np.zeros((len(first), y.shape[1]))
-    np.add.at(mean, group, weights[:, np.newaxis] * y)
-    mean /= counts[:, np.newaxis]
-    deviation = y - mean[group]
+    np.add.at(counts, group, values.counts)
+    means = np.zeros((len(first), values.means.shape[1]))
+    np.add.at(means, group, values.counts[:, np.newaxis] * values.means)
+    means /= counts[:, np.newaxis]
+    deviation = values.means - means[group]
     worst = int(np.abs(deviation).max(axis=1).argmax())
-    if exact and np.abs(deviation[worst]).max() > 1e-10 * np.abs(y).max():
+    limit = 1e-10 * np.abs(values.means).max()
+    if exact and np.abs(deviation[worst]).max() > limit:
         equal = np.flatnonzero(group == group[worst])
-        other = equal[np.abs(y[equal] - y[equal[0]]).max(axis=1).argmax()]
+        away = np.abs(values.means[equal] - values.means[equal[0]]).max(axis=1)
         raise ValueError(
-            f"rows {numbers[equal[0]]} and {numbers[other]} of X are equal but their "
-            "outputs differ: with alpha=0 no function interpolates both. Set alpha > 0 "
-            "or method='least_squares', or add delays to the states."
+            f"rows {numbers[equal[0]]} and {numbers[equal[away.argmax()]]} of X are "
+            "equal but their outputs differ: with alpha=0 no function interpolates "
+            "both. Set alpha > 0 or method='least_squares', or add delays to the "
+            "states."
         )
-    return first, mean, counts, weights @ deviation**2
+    scatter = values.scatter + values.counts @ deviation**2
+    return first, Values(means, counts, scatter)

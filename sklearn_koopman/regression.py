@@ -2,31 +2,29 @@
 
 from __future__ import annotations
 
-import warnings
-from copy import copy
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgWarning
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
-from sklearn.exceptions import ConvergenceWarning
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_X_y
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman import _bounds, _large, _solvers
-from sklearn_koopman._iterative import Converged
-from sklearn_koopman._large import ImplicitBasis
-from sklearn_koopman._native import NativeBasis, Tail
-from sklearn_koopman._sections import DistanceSections, KernelSections, Sections
-from sklearn_koopman._streaming import (
-    GrowingInterpolant,
-    GrowingRegression,
-    merge_equal_rows,
+from sklearn_koopman import _bounds
+from sklearn_koopman._estimates import (
+    REMEDY,
+    interpolated,
+    negligible_tolerance,
+    regressed,
 )
+from sklearn_koopman._growth import GrowthMixin
+from sklearn_koopman._large import ImplicitBasis
+from sklearn_koopman._native import NativeBasis
+from sklearn_koopman._sections import DistanceSections, KernelSections, Sections
+from sklearn_koopman._solvers import Solution, evaluate, residual_norms
+from sklearn_koopman._streaming import GrowingInterpolant, Values, merge_equal_rows
 from sklearn_koopman._validation import check_number
 from sklearn_koopman.centers import (
-    SeparatedCenterSelector,
     check_distances,
     choose_centers,
     rows_at_distance_zero,
@@ -39,10 +37,12 @@ __all__ = ["KoopmanKernelRegressor"]
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-DEGREES = {None: None, "constant": 0, "linear": 1}
+DEGREES: dict[str | None, int | None] = {None: None, "constant": 0, "linear": 1}
 
 
-class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
+class KoopmanKernelRegressor(
+    GrowthMixin, MultiOutputMixin, RegressorMixin, BaseEstimator
+):
     """Kernel estimate of the Koopman operator acting on measured outputs.
 
     States follow an unknown map, x_{k+1} = f(x_k), on an unknown manifold; outputs
@@ -270,116 +270,71 @@ default="auto"
         self._check_parameters()
         n_features = None if self._precomputed else X.shape[1]
         kernel = as_kernel(self.kernel, self.beta, n_features)
-        outputs = y.reshape(len(y), -1)
+        outputs, degree = y.reshape(len(y), -1), DEGREES[self.trend]
+        # Least squares over the sections of all rows is interpolation with alpha.
+        interpolates = self.method == "interpolation" or self.centers is None
         sections: Sections
-        u, nugget, scatter = None, None, np.zeros(outputs.shape[1])
+        rows: Indices | None
+        values = Values(outputs, np.ones(len(X)), np.zeros(outputs.shape[1]))
         if self._precomputed:
             if not _is_isotropic(kernel):
                 raise ValueError(
                     f"kernel={kernel!r} does not depend on distances alone, which "
                     "centers='precomputed' needs; pass the states and a selector."
                 )
-            rows: Indices | None = rows_at_distance_zero(X)
+            rows = rows_at_distance_zero(X)
             points = X[rows]
             sections = DistanceSections(kernel, np.arange(X.shape[1]))
         elif self.centers is None:
-            # Least squares over the sections of all rows is interpolation with alpha.
-            rows, u, counts, scatter = merge_equal_rows(
-                X, outputs, np.ones(len(X)), self._exact, np.arange(len(X))
-            )
-            points, nugget = X[rows], self.alpha / counts
+            rows, values = self._merged(X, values, np.arange(len(X)))
+            points = X[rows]
             sections = KernelSections(kernel, points)
         else:
             points, rows = choose_centers(
                 self.centers, X, y, among_rows=self.method == "interpolation"
             )
             sections = KernelSections(kernel, points)
-        if self.method == "interpolation" and u is None:
+        if interpolates:
             assert rows is not None
-            u, nugget = outputs[rows], np.full(len(points), self.alpha)
-            counts = np.ones(len(points))
-        if nugget is None:
+            if self.centers is not None:
+                values = values.take(rows)
+            nugget = self.alpha / values.counts
+            estimate = interpolated(
+                sections,
+                points,
+                nugget,
+                values.means,
+                degree,
+                self.solver,
+                self.n_jobs,
+                self._negligible(len(X)),
+            )
+        else:
             nugget = np.zeros(len(points))
-        solver, solution, found = self._solve(sections, points, nugget, X, outputs, u)
-        residual = None
+            estimate = regressed(
+                sections,
+                points,
+                X,
+                outputs,
+                self.alpha,
+                degree,
+                self.solver,
+                self.n_jobs,
+            )
+        solution, residual = estimate.solution, None
         if self.method == "least_squares" and not nugget.any():
-            residual = _solvers.residual_norms(solution, X, outputs, self.n_jobs)
+            residual = residual_norms(solution, X, outputs, self.n_jobs)
         # Attributes are set last: a fit that fails leaves the estimator as it was.
         validate_data(self, given, y, skip_check_array=True)
         self._forget()
         self._store(solution, rows, nugget, y.shape[1:], len(X), residual)
-        self.solver_ = solver
-        if found is not None:
-            self.n_iter_, self.residual_ = found.n_iter, found.residual
-        if u is not None:
-            self._values, self._scatter = u[solution.kept], scatter
-            self._counts = counts[solution.kept]
-        return self
-
-    def partial_fit(self, X: Any, y: Any) -> KoopmanKernelRegressor:
-        """Learn from further rows, as if all had been given to one `fit`.
-
-        Interpolation adds the rows that become centres, k of them, to the Cholesky
-        factor, in O(k M^2) operations: with ``centers=None`` all that are new, with a
-        :class:`SeparatedCenterSelector` those farther than its separation from all
-        centres so far. Least squares at given centres adds the rows to its normal
-        equations, so that memory does not grow with their number.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_features)
-            The states.
-        y : array-like of shape (n_samples,) or (n_samples, n_outputs)
-            The outputs one step after each row.
-
-        Returns
-        -------
-        self : KoopmanKernelRegressor
-            The estimate from all rows so far.
-
-        Raises
-        ------
-        ValueError
-            As in `fit`; for centres and solvers that cannot grow; for outputs of
-            another shape than before; for least squares at chosen centres after
-            `fit` or after loading from a pickle, neither of which keeps its sums.
-
-        Notes
-        -----
-        Least squares with a selector keeps the rows, and starts anew when a batch
-        brings new centres. To stream through recordings that are larger than memory,
-        find the centres first, by `SeparatedCenterSelector.partial_fit`, and give them
-        as an array.
-
-        After centres have been added, `rcond_` is an upper bound by the pivots of the
-        factor. Where they come close to being dependent, all are factored anew, and
-        left out as in `fit`. `noise_` of least squares is a difference of sums, and not
-        told where it is below about 1e-8 of the outputs.
-        """
-        started = hasattr(self, "dual_coef_")
-        given = X
-        X, y = check_X_y(
-            X, y, multi_output=True, y_numeric=True, dtype=np.float64, estimator=self
-        )
-        y = np.asarray(y, dtype=np.float64)
-        self._check_parameters()
-        self._check_growth()
-        if started:
-            validate_data(self, given, y, reset=False, skip_check_array=True)
-            if y.shape[1:] != self.dual_coef_.shape[1:]:
-                raise ValueError(
-                    f"y has shape {y.shape}, but predictions for {len(y)} rows so far "
-                    f"have {(len(y), *self.dual_coef_.shape[1:])}; give the same "
-                    "outputs in every batch."
-                )
-        if self.method == "interpolation" or self.centers is None:
-            if started:
-                self._add_centers(X, y)
-            else:
-                self.fit(given, y)
-            return self
-        self._add_rows(X, y, started)
-        validate_data(self, given, y, reset=not started, skip_check_array=True)
+        self.solver_ = estimate.solver
+        if estimate.converged is not None:
+            self.n_iter_ = estimate.converged.n_iter
+            self.residual_ = estimate.converged.residual
+        self._interpolates = interpolates
+        if interpolates:
+            self._values = values.take(solution.kept)
         return self
 
     def predict(self, X: Any, return_std: bool = False) -> Array | tuple[Array, Array]:
@@ -526,7 +481,10 @@ default="auto"
         variance = _bounds.variance(basis, X, diagonal, self.n_jobs)
         if basis.tail is not None:
             variance[basis.tail.beyond(X)] = np.inf
-        self._warn_off_manifold(basis, variance, diagonal)
+        if not hasattr(self, "_reach"):
+            points = getattr(self, "centers_", np.zeros((len(basis.lower), 1)))
+            self._reach = _bounds.reach(basis, points)
+        _bounds.warn_off_manifold(basis, variance, diagonal, self._reach)
         P = np.sqrt(variance + _bounds.ROUNDING * diagonal)
         with np.errstate(invalid="ignore"):
             bound = np.outer(P, norms)
@@ -539,11 +497,6 @@ default="auto"
         for name in ("_basis", "_norm", "_reach", "_growth", "_batches", "_selector"):
             state.pop(name, None)
         return state
-
-    @property
-    def _exact(self) -> bool:
-        """Whether equal rows with different outputs are an error."""
-        return self.method == "interpolation" and self.alpha == 0
 
     @property
     def _precomputed(self) -> bool:
@@ -578,265 +531,32 @@ default="auto"
                 "distances only; pass the states and centers=SeparatedCenterSelector()."
             )
 
-    def _solve(
-        self,
-        sections: Sections,
-        points: Array,
-        nugget: Array,
-        X: Array,
-        y: Array,
-        u: Array | None,
-    ) -> tuple[str | ConjugateGradient, _solvers.Solution[Any], Converged | None]:
-        """Interpolate u at the centres, or fit y where there is none."""
-        kernel: Any = sections.kernel
-        solver: str | ConjugateGradient = self.solver
-        if u is None and self.alpha == 0 and len(X) < len(points):
-            raise ValueError(
-                f"method='least_squares' with alpha=0 needs at least as many rows "
-                f"as centres, got {len(X)} rows and {len(points)} centres; set "
-                "alpha > 0 or choose fewer centres."
-            )
-        if not isinstance(solver, str):
-            solver = clone(solver)
-        elif solver == "auto":
-            large = _large.is_large(sections, points)
-            solver = ConjugateGradient() if large else "pivoted_cholesky"
-        degree = DEGREES[self.trend]
-        extent = X if u is None else points
-        solution: _solvers.Solution[Any]
-        found, tolerance = None, 0.0
-        try:
-            if isinstance(solver, ConjugateGradient):
-                assert isinstance(sections, KernelSections)
-                tail = None if degree is None else Tail.on(points, degree, extent)
-                basis = ImplicitBasis.of(sections, nugget, tail, solver, self.n_jobs)
-                solution, found = (
-                    _large.regress(basis, X, y, self.alpha, self.n_jobs)
-                    if u is None
-                    else _large.interpolate(basis, u)
-                )
-            else:
-                solution, tolerance = _solvers.solve(
-                    sections,
-                    points,
-                    nugget,
-                    _solvers.regression(X, y, self.alpha, self.n_jobs)
-                    if u is None
-                    else _solvers.interpolation(points, u),
-                    degree,
-                    extent,
-                    drop_dependent=solver == "pivoted_cholesky",
-                )
-        except _solvers.UnsuitableKernelError as error:
-            raise ValueError(
-                f"kernel={kernel!r} {error}; rescale them, or take another kernel."
-            ) from error
-        except np.linalg.LinAlgError as error:
-            raise ValueError(
-                f"No estimate for kernel={kernel!r} on {len(points)} centres: {error}. "
-                f"{_REMEDY}"
-            ) from error
-        # By |<r, e>| <= sqrt(n) |r| sup|e|, a section that the others reproduce to
-        # sqrt(tolerance) moves a regularised fit by about n tolerance / alpha of its
-        # residuals at the most: nothing to act upon.
-        negligible = len(X) * tolerance <= 1e-5 * self.alpha
-        if not (self.method == "least_squares" and negligible):
-            self._warn_left_out(kernel, len(points), len(solution.kept))
-        if isinstance(solver, ConjugateGradient) and found is not None:
-            self._warn_not_converged(kernel, len(points), solver, found)
-        return solver, solution, found
+    def _merged(
+        self, X: Array, values: Values, numbers: Indices
+    ) -> tuple[Indices, Values]:
+        exact = self.method == "interpolation" and self.alpha == 0
+        return merge_equal_rows(X, values, exact, numbers)
 
-    @staticmethod
-    def _warn_left_out(kernel: Any, n_centers: int, n_kept: int) -> None:
-        if n_kept < n_centers:
-            warnings.warn(
-                f"The Gram matrix of kernel={kernel!r} on {n_centers} centres is "
-                f"numerically singular; {n_centers - n_kept} centres that depend on "
-                f"the others were left out. {_REMEDY}",
-                LinAlgWarning,
-                stacklevel=4,
-            )
-
-    @staticmethod
-    def _warn_not_converged(
-        kernel: Any, n_centers: int, solver: ConjugateGradient, found: Converged
-    ) -> None:
-        if found.residual > solver.tol:
-            warnings.warn(
-                f"Conjugate gradients for kernel={kernel!r} on {n_centers} centres "
-                f"ended after {found.n_iter} iterations with a relative residual of "
-                f"{found.residual:.1e}, above tol={solver.tol:.1e}. Raise max_iter, "
-                f"rank, n_neighbors or tol of the solver. {_REMEDY}",
-                ConvergenceWarning,
-                stacklevel=4,
-            )
-
-    def _check_growth(self) -> None:
-        """Refuse what `partial_fit` cannot extend."""
-        solver = getattr(self, "solver_", self.solver)
-        if isinstance(solver, ConjugateGradient):
-            raise ValueError(
-                "partial_fit extends a Cholesky factor, which conjugate gradients do "
-                "not have; fit with solver='pivoted_cholesky' from the first batch on."
-            )
-        chooses = isinstance(self.centers, SeparatedCenterSelector)
-        given = not (self.centers is None or chooses or hasattr(self.centers, "fit"))
-        if self._precomputed or not (
-            self.centers is None
-            or chooses
-            or (given and self.method == "least_squares")
-        ):
-            raise ValueError(
-                "partial_fit adds centres with centers=None or a "
-                "SeparatedCenterSelector, and rows with method='least_squares' and an "
-                f"array of centres, got centers={type(self.centers).__name__} and "
-                f"method={self.method!r}."
-            )
-        if hasattr(self, "_settings") and self._settings != self._current_settings():
-            raise ValueError(
-                "Parameters were changed since the first batch; set them back, or call "
-                "fit to start anew."
-            )
-
-    def _current_settings(self) -> tuple[Any, ...]:
-        kernel = as_kernel(self.kernel, self.beta, None)
-        return repr(kernel), self.method, self.alpha, self.trend
-
-    def _add_centers(self, X: Array, y: Array) -> None:
-        """Extend an interpolant by the rows that become centres."""
-        assert self.center_indices_ is not None
-        outputs, M = y.reshape(len(y), -1), len(self.centers_)
-        numbers = np.append(self.center_indices_, self._n_seen + np.arange(len(X)))
-        scatter = self._scatter
-        if self.centers is None:
-            rows, u, counts, more = merge_equal_rows(
-                np.vstack([self.centers_, X]),
-                np.vstack([self._values, outputs]),
-                np.append(self._counts, np.ones(len(X))),
-                self._exact,
-                numbers,
-            )
-            nugget, scatter = self.alpha / counts, scatter + more
-            selector = None
-        else:
-            selector, new = self._grown_selector(X)
-            rows = np.append(np.arange(M), M + new)
-            u = np.vstack([self._values, outputs[new]])
-            counts = np.ones(len(u))
-            nugget = np.full(len(u), self.alpha)
-        points = np.vstack([self.centers_, X])[rows]
-        sections = KernelSections(self.kernel_, points)
-        solution: _solvers.Solution[Any]
-        try:
-            if not np.array_equal(nugget[:M], self._nugget):
-                raise np.linalg.LinAlgError("the weights of old centres have changed")
-            growth = getattr(self, "_basis", None)
-            if not isinstance(growth, GrowingInterpolant):
-                growth = GrowingInterpolant.of(
-                    self._native_basis(), self.centers_, self._values
-                )
-            if len(points) > M:
-                growth.extend(sections, points[M:], nugget[M:], u[M:])
-            if not np.array_equal(u[:M], self._values):
-                growth.v = growth.factor.forward(u)
-            solution = growth.solution(u)
-        except np.linalg.LinAlgError:
-            _, solution, _ = self._solve(sections, points, nugget, points, u, u)
-        residual = None
-        if self.method == "least_squares" and not nugget.any():
-            residual = np.sqrt(scatter)
-        n_seen = self._n_seen + len(X)
-        shape = self.dual_coef_.shape[1:]
-        self._store(solution, numbers[rows], nugget, shape, n_seen, residual)
-        self._values, self._scatter = u[solution.kept], scatter
-        self._counts = counts[solution.kept]
-        if selector is not None:
-            self._selector = selector
-
-    def _grown_selector(self, X: Array) -> tuple[SeparatedCenterSelector, Indices]:
-        """Return the selector after further rows, and which of them are new centres."""
-        selector = getattr(self, "_selector", None)
-        if selector is None:
-            selector = clone(self.centers)
-            if hasattr(self, "centers_"):
-                selector.partial_fit(self.centers_)
-        n_seen, n_known = 0, 0
-        if hasattr(selector, "center_indices_"):
-            n_seen, n_known = selector.n_samples_seen_, len(selector.center_indices_)
-        selector = copy(selector).partial_fit(X)
-        return selector, selector.center_indices_[n_known:] - n_seen
-
-    def _add_rows(self, X: Array, y: Array, started: bool) -> None:
-        """Add rows to least squares at chosen centres."""
-        if started and not hasattr(self, "_growth"):
-            raise ValueError(
-                "partial_fit of least squares at chosen centres continues from the "
-                "sums of earlier batches, which neither fit nor a pickle keeps; call "
-                "partial_fit from the first batch on."
-            )
-        outputs = y.reshape(len(y), -1)
-        growth, selector, rows = getattr(self, "_growth", None), None, None
-        batches = [(X, outputs)]
-        if isinstance(self.centers, SeparatedCenterSelector):
-            selector, new = self._grown_selector(X)
-            batches = [*getattr(self, "_batches", []), *batches]
-            rows = selector.center_indices_
-            points = selector.cluster_centers_
-            if len(new):
-                growth = None
-        if growth is None:
-            if selector is None:
-                points, _ = choose_centers(self.centers, X, y, among_rows=False)
-            growth = self._new_growth(X, points, outputs.shape[1])
-            for batch in batches:
-                growth.add(*batch)
-        else:
-            growth.add(X, outputs)
-        try:
-            solution, residual = growth.solution(self.alpha, X)
-        except np.linalg.LinAlgError as error:
-            raise ValueError(f"No estimate: {error}. {_REMEDY}") from error
-        if rows is not None:
-            rows = rows[growth.kept]
-        nugget = np.zeros(len(solution.dual))
-        self._store(solution, rows, nugget, y.shape[1:], growth.n_rows, residual)
-        self.solver_ = "cholesky" if self.solver == "cholesky" else "pivoted_cholesky"
-        self._growth = growth
-        if selector is not None:
-            self._selector, self._batches = selector, batches
-
-    def _new_growth(self, X: Array, points: Array, n_outputs: int) -> GrowingRegression:
-        """Factor the Gram matrix at centres that rows are going to be fitted with."""
-        kernel = as_kernel(self.kernel, self.beta, X.shape[1])
-        try:
-            basis, kept = _solvers.independent_basis(
-                KernelSections(kernel, points),
-                points,
-                DEGREES[self.trend],
-                X,
-                drop_dependent=self.solver != "cholesky",
-            )
-        except _solvers.UnsuitableKernelError as error:
-            raise ValueError(
-                f"kernel={kernel!r} {error}; rescale them, or take another kernel."
-            ) from error
-        except np.linalg.LinAlgError as error:
-            raise ValueError(
-                f"No estimate for kernel={kernel!r} on {len(points)} centres: {error}. "
-                f"{_REMEDY}"
-            ) from error
-        self._warn_left_out(kernel, len(points), len(kept))
-        return GrowingRegression.of(basis, kept, n_outputs)
+    def _negligible(self, n_rows: int) -> float:
+        """Return which part of a section may be left out without a warning."""
+        averages = self.method == "least_squares"
+        return negligible_tolerance(n_rows, self.alpha) if averages else 0.0
 
     def _forget(self) -> None:
         """Remove what an earlier fit has left."""
-        for name in ("_growth", "_selector", "_batches", "_values", "n_iter_"):
+        for name in (
+            "_growth",
+            "_selector",
+            "_batches",
+            "_values",
+            "n_iter_",
+            "residual_",
+        ):
             self.__dict__.pop(name, None)
-        self.__dict__.pop("residual_", None)
 
     def _store(
         self,
-        solution: _solvers.Solution[Any],
+        solution: Solution[Any],
         rows: Indices | None,
         nugget: Array,
         shape: tuple[int, ...],
@@ -879,9 +599,7 @@ default="auto"
         dual = self.dual_coef_.reshape(len(self.dual_coef_), -1)
         trend = getattr(self, "trend_coef_", self.dual_coef_[:0])
         trend = trend.reshape(len(trend), dual.shape[1])
-        return _solvers.evaluate(
-            self._sections, self._tail, X, dual, trend, self.n_jobs
-        )
+        return evaluate(self._sections, self._tail, X, dual, trend, self.n_jobs)
 
     def _validated(self, X: Any) -> Array:
         X = validate_data(self, X, reset=False, dtype=np.float64)
@@ -893,15 +611,7 @@ default="auto"
         """Return the native norm of each output: as given, or estimated."""
         n_outputs = int(np.prod(self.dual_coef_.shape[1:]))
         if norm is not None:
-            norms = np.atleast_1d(np.asarray(norm, dtype=object))
-            if norms.ndim > 1 or norms.size not in (1, n_outputs):
-                raise ValueError(
-                    f"norm must be a number, or one for each of {n_outputs} outputs, "
-                    f"got an array of shape {norms.shape}."
-                )
-            for value in norms:
-                check_number(value, "norm")
-            return np.broadcast_to(norms.astype(np.float64), n_outputs)
+            return _bounds.given_norms(norm, n_outputs)
         if not hasattr(self, "_norm"):
             basis = self._native_basis()
             degrees = len(self.dual_coef_) - basis.Q.shape[1]
@@ -917,42 +627,15 @@ default="auto"
                     f"centres with trend={self.trend!r}; give norm, or take more "
                     "centres."
                 )
-            dual = self.dual_coef_.reshape(-1, n_outputs)
             self._norm = _bounds.native_norm(
                 self._sections,
                 self.centers_,
                 self._nugget,
                 self._tail,
-                self._evaluate(self.centers_) + basis.excess[:, np.newaxis] * dual,
+                self._values.means,
                 np.ravel(self.amplitude_) * np.sqrt(degrees),
             )
         return self._norm
-
-    def _warn_off_manifold(
-        self, basis: NativeBasis, variance: Array, diagonal: Array
-    ) -> None:
-        if not hasattr(self, "_reach"):
-            points = getattr(self, "centers_", np.zeros((len(basis.lower), 1)))
-            self._reach = _bounds.reach(basis, points)
-        off = np.sqrt(variance) > self._reach * (1 + 1e-6)
-        off |= np.isinf(variance)
-        if basis.tail is None:
-            off |= variance > (1 - 1e-6) * diagonal
-        if off.any():
-            if np.isfinite(self._reach):
-                limit = f"at most {self._reach:.2g} at centres left out of the others"
-            elif len(basis.lower) == 1:
-                limit = "there is one centre only"
-            else:
-                limit = "no centre tells anything of the others, either: raise beta"
-            warnings.warn(
-                f"{off.sum()} of {len(off)} states are off the manifold of the "
-                f"centres: the power function is up to {np.sqrt(variance.max()):.2g} "
-                f"there ({limit}). Predictions are extrapolation there; learn from "
-                "samples that cover such states, or leave them out.",
-                UserWarning,
-                stacklevel=3,
-            )
 
     def _native_basis(self) -> NativeBasis:
         basis = self._fitted_basis()
@@ -984,15 +667,9 @@ default="auto"
             raise ValueError(
                 "The Gram matrix, not pickled, was barely positive definite where "
                 "the model was fitted, and is not on this machine: predictions are "
-                f"all that is left. Fit again, here. {_REMEDY}"
+                f"all that is left. Fit again, here. {REMEDY}"
             ) from error
         return self._basis
-
-
-_REMEDY = (
-    "Choose centres with a larger separation, lower beta, raise alpha, or take a less "
-    "smooth kernel."
-)
 
 
 def _is_isotropic(kernel: Any) -> bool:

@@ -1,0 +1,218 @@
+"""Estimates at given centres: which solver, and what it says if it fails."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgWarning
+from sklearn.base import clone
+from sklearn.exceptions import ConvergenceWarning
+
+from sklearn_koopman import _large, _solvers
+from sklearn_koopman._iterative import Converged
+from sklearn_koopman._native import NativeBasis, Tail
+from sklearn_koopman._sections import KernelSections, Sections
+from sklearn_koopman._solvers import Solution
+from sklearn_koopman.solvers import ConjugateGradient
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+REMEDY = (
+    "Choose centres with a larger separation, lower beta, raise alpha, or take a less "
+    "smooth kernel."
+)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An estimate, and how it was found."""
+
+    solution: Solution[Any]
+    solver: str | ConjugateGradient
+    converged: Converged | None  # only with conjugate gradients
+
+
+def interpolated(
+    sections: Sections,
+    points: Array,
+    nugget: Array,
+    u: Array,
+    degree: int | None,
+    solver: str | ConjugateGradient,
+    n_jobs: int | None,
+    negligible: float = 0.0,
+) -> Estimate:
+    """Interpolate u at the centres.
+
+    A `negligible` part of a section may be left out without a warning.
+
+    Raises
+    ------
+    ValueError
+        If there is no such estimate.
+
+    Warns
+    -----
+    LinAlgWarning
+        If dependent centres were left out.
+    ConvergenceWarning
+        If conjugate gradients did not come to their tolerance.
+    """
+    solver = _chosen(solver, sections, points)
+    with _explained(sections.kernel, len(points)):
+        if isinstance(solver, ConjugateGradient):
+            basis = _implicit(sections, points, nugget, degree, points, solver, n_jobs)
+            solution, converged = _large.interpolate(basis, u)
+            _warn_not_converged(sections.kernel, len(points), solver, converged)
+            return Estimate(solution, solver, converged)
+        found, tolerance = _solvers.solve(
+            sections,
+            points,
+            nugget,
+            _solvers.interpolation(points, u),
+            degree,
+            points,
+            drop_dependent=solver == "pivoted_cholesky",
+        )
+    if tolerance > negligible:
+        _warn_left_out(sections.kernel, len(points), len(found.kept))
+    return Estimate(found, solver, None)
+
+
+def regressed(
+    sections: Sections,
+    points: Array,
+    X: Array,
+    y: Array,
+    alpha: float,
+    degree: int | None,
+    solver: str | ConjugateGradient,
+    n_jobs: int | None,
+) -> Estimate:
+    """Fit y on all rows by least squares; raises and warns as `interpolated`."""
+    if alpha == 0 and len(X) < len(points):
+        raise ValueError(
+            f"method='least_squares' with alpha=0 needs at least as many rows as "
+            f"centres, got {len(X)} rows and {len(points)} centres; set alpha > 0 or "
+            "choose fewer centres."
+        )
+    solver = _chosen(solver, sections, points)
+    nugget = np.zeros(len(points))
+    with _explained(sections.kernel, len(points)):
+        if isinstance(solver, ConjugateGradient):
+            basis = _implicit(sections, points, nugget, degree, X, solver, n_jobs)
+            solution, converged = _large.regress(basis, X, y, alpha, n_jobs)
+            _warn_not_converged(sections.kernel, len(points), solver, converged)
+            return Estimate(solution, solver, converged)
+        found, tolerance = _solvers.solve(
+            sections,
+            points,
+            nugget,
+            _solvers.regression(X, y, alpha, n_jobs),
+            degree,
+            X,
+            drop_dependent=solver == "pivoted_cholesky",
+        )
+    if tolerance > negligible_tolerance(len(X), alpha):
+        _warn_left_out(sections.kernel, len(points), len(found.kept))
+    return Estimate(found, solver, None)
+
+
+def independent(
+    sections: Sections,
+    points: Array,
+    degree: int | None,
+    rows: Array,
+    solver: str,
+) -> tuple[NativeBasis, Indices]:
+    """Return the native basis of the centres, and which of them carry it."""
+    with _explained(sections.kernel, len(points)):
+        basis, kept = _solvers.independent_basis(
+            sections, points, degree, rows, drop_dependent=solver != "cholesky"
+        )
+    _warn_left_out(sections.kernel, len(points), len(kept))
+    return basis, kept
+
+
+def negligible_tolerance(n_rows: int, alpha: float) -> float:
+    """Return up to which tolerance leaving out centres does not matter to a fit.
+
+    By |<r, e>| <= sqrt(n) |r| sup|e|, a section that the others reproduce to
+    sqrt(tolerance) moves a regularised fit by about n tolerance / alpha of its
+    residuals at the most.
+    """
+    return 1e-5 * alpha / n_rows
+
+
+def _chosen(
+    solver: str | ConjugateGradient, sections: Sections, points: Array
+) -> str | ConjugateGradient:
+    if isinstance(solver, ConjugateGradient):
+        return clone(solver)
+    if solver != "auto":
+        return solver
+    large = _large.is_large(sections, points)
+    return ConjugateGradient() if large else "pivoted_cholesky"
+
+
+def _implicit(
+    sections: Sections,
+    points: Array,
+    nugget: Array,
+    degree: int | None,
+    rows: Array,
+    solver: ConjugateGradient,
+    n_jobs: int | None,
+) -> _large.ImplicitBasis:
+    assert isinstance(sections, KernelSections)
+    tail = None if degree is None else Tail.on(points, degree, rows)
+    return _large.ImplicitBasis.of(sections, nugget, tail, solver, n_jobs)
+
+
+@contextmanager
+def _explained(kernel: Any, n_centers: int) -> Iterator[None]:
+    """Say in errors of the linear algebra which kernel they are about."""
+    try:
+        yield
+    except _solvers.UnsuitableKernelError as error:
+        raise ValueError(
+            f"kernel={kernel!r} {error}; rescale them, or take another kernel."
+        ) from error
+    except np.linalg.LinAlgError as error:
+        raise ValueError(
+            f"No estimate for kernel={kernel!r} on {n_centers} centres: {error}. "
+            f"{REMEDY}"
+        ) from error
+
+
+def _warn_left_out(kernel: Any, n_centers: int, n_kept: int) -> None:
+    """Warn that centres were left out, if any were."""
+    if n_kept < n_centers:
+        warnings.warn(
+            f"The Gram matrix of kernel={kernel!r} on {n_centers} centres is "
+            f"numerically singular; {n_centers - n_kept} centres that depend on "
+            f"the others were left out. {REMEDY}",
+            LinAlgWarning,
+            stacklevel=4,
+        )
+
+
+def _warn_not_converged(
+    kernel: Any, n_centers: int, solver: ConjugateGradient, found: Converged
+) -> None:
+    if found.residual > solver.tol:
+        warnings.warn(
+            f"Conjugate gradients for kernel={kernel!r} on {n_centers} centres ended "
+            f"after {found.n_iter} iterations with a relative residual of "
+            f"{found.residual:.1e}, above tol={solver.tol:.1e}. Raise max_iter, rank, "
+            f"n_neighbors or tol of the solver. {REMEDY}",
+            ConvergenceWarning,
+            stacklevel=4,
+        )

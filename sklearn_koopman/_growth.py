@@ -1,0 +1,294 @@
+"""Estimates that learn from one batch of rows after the other."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from copy import copy
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.base import clone
+from sklearn.utils import check_X_y
+from sklearn.utils.validation import validate_data
+
+from sklearn_koopman._estimates import REMEDY, independent, interpolated
+from sklearn_koopman._native import NativeBasis
+from sklearn_koopman._sections import KernelSections
+from sklearn_koopman._solvers import Solution
+from sklearn_koopman._streaming import GrowingInterpolant, GrowingRegression, Values
+from sklearn_koopman.centers import SeparatedCenterSelector, choose_centers
+from sklearn_koopman.kernels import as_kernel
+from sklearn_koopman.solvers import ConjugateGradient
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+DEGREES: dict[str | None, int | None] = {None: None, "constant": 0, "linear": 1}
+
+
+class GrowthMixin:
+    """Gives a :class:`~sklearn_koopman.KoopmanKernelRegressor` its `partial_fit`."""
+
+    kernel: Any
+    beta: float | None
+    centers: Any
+    method: str
+    alpha: float
+    trend: str | None
+    solver: str | ConjugateGradient
+    n_jobs: int | None
+    kernel_: Any
+    centers_: Array
+    center_indices_: Indices | None
+    dual_coef_: Array
+    _interpolates: bool
+    _nugget: Array
+    _n_seen: int
+    _values: Values
+
+    def partial_fit(self, X: Any, y: Any) -> Self:
+        """Learn from further rows, as if all had been given to one `fit`.
+
+        Interpolation adds the rows that become centres, k of them, to the Cholesky
+        factor, in O(k M^2) operations: with ``centers=None`` all that are new, with a
+        :class:`SeparatedCenterSelector` those farther than its separation from all
+        centres so far. Least squares at given centres adds the rows to its normal
+        equations, so that memory does not grow with their number.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            The states.
+        y : array-like of shape (n_samples,) or (n_samples, n_outputs)
+            The outputs one step after each row.
+
+        Returns
+        -------
+        self : object
+            The estimate from all rows so far.
+
+        Raises
+        ------
+        ValueError
+            As in `fit`; for centres and solvers that cannot grow; for outputs of
+            another shape than before; for least squares at chosen centres after
+            `fit` or after loading from a pickle, neither of which keeps its sums.
+
+        Notes
+        -----
+        Least squares with a selector keeps the rows, and starts anew when a batch
+        brings new centres. To stream through recordings that are larger than memory,
+        find the centres first, by `SeparatedCenterSelector.partial_fit`, and give them
+        as an array.
+
+        After centres have been added, `rcond_` is an upper bound by the pivots of the
+        factor. Where they come close to being dependent, all are factored anew, and
+        left out as in `fit`. `noise_` of least squares is a difference of sums, and not
+        told where it is below about 1e-8 of the outputs.
+        """
+        started = hasattr(self, "dual_coef_")
+        given = X
+        X, y = check_X_y(
+            X, y, multi_output=True, y_numeric=True, dtype=np.float64, estimator=self
+        )
+        y = np.asarray(y, dtype=np.float64)
+        self._check_parameters()
+        self._check_growth()
+        if started:
+            validate_data(self, given, y, reset=False, skip_check_array=True)
+            if y.shape[1:] != self.dual_coef_.shape[1:]:
+                raise ValueError(
+                    f"y has shape {y.shape}, but predictions for {len(y)} rows so far "
+                    f"have {(len(y), *self.dual_coef_.shape[1:])}; give the same "
+                    "outputs in every batch."
+                )
+        if self.method == "interpolation" or self.centers is None:
+            if started:
+                self._add_centers(X, y)
+            else:
+                self.fit(given, y)
+            return self
+        self._add_rows(X, y, started)
+        validate_data(self, given, y, reset=not started, skip_check_array=True)
+        return self
+
+    def _check_growth(self) -> None:
+        """Refuse what `partial_fit` cannot extend."""
+        solver = getattr(self, "solver_", self.solver)
+        if isinstance(solver, ConjugateGradient):
+            raise ValueError(
+                "partial_fit extends a Cholesky factor, which conjugate gradients do "
+                "not have; fit with solver='pivoted_cholesky' from the first batch on."
+            )
+        chooses = isinstance(self.centers, SeparatedCenterSelector)
+        given = not hasattr(self.centers, "fit") and not isinstance(self.centers, str)
+        if not (
+            self.centers is None
+            or chooses
+            or (given and self.method == "least_squares")
+        ):
+            raise ValueError(
+                "partial_fit adds centres with centers=None or a "
+                "SeparatedCenterSelector, and rows with method='least_squares' and an "
+                f"array of centres, got centers={type(self.centers).__name__} and "
+                f"method={self.method!r}."
+            )
+        if hasattr(self, "_settings") and self._settings != self._current_settings():
+            raise ValueError(
+                "Parameters were changed since the first batch; set them back, or call "
+                "fit to start anew."
+            )
+
+    def _current_settings(self) -> tuple[Any, ...]:
+        kernel = as_kernel(self.kernel, self.beta, None)
+        return repr(kernel), self.method, self.alpha, self.trend
+
+    def _add_centers(self, X: Array, y: Array) -> None:
+        """Extend an interpolant by the rows that become centres."""
+        assert self.center_indices_ is not None
+        outputs, M = y.reshape(len(y), -1), len(self.centers_)
+        points = np.vstack([self.centers_, X])
+        numbers = np.append(self.center_indices_, self._n_seen + np.arange(len(X)))
+        values, selector = self._values.joined(outputs), None
+        if self.centers is None:
+            rows, values = self._merged(points, values, numbers)
+        else:
+            selector, new = self._grown_selector(X)
+            rows = np.append(np.arange(M), M + new)
+            values = values.take(rows)
+        points, nugget = points[rows], self.alpha / values.counts
+        sections = KernelSections(self.kernel_, points)
+        solution: Solution[Any]
+        try:
+            solution = self._extended(sections, nugget, values.means)
+        except np.linalg.LinAlgError:
+            solution = interpolated(
+                sections,
+                points,
+                nugget,
+                values.means,
+                DEGREES[self.trend],
+                "cholesky" if self.solver == "cholesky" else "pivoted_cholesky",
+                self.n_jobs,
+                self._negligible(len(X)),
+            ).solution
+        residual = None
+        if self.method == "least_squares" and not nugget.any():
+            residual = np.sqrt(values.scatter)
+        n_seen, shape = self._n_seen + len(X), self.dual_coef_.shape[1:]
+        self._store(solution, numbers[rows], nugget, shape, n_seen, residual)
+        self._values = values.take(solution.kept)
+        if selector is not None:
+            self._selector = selector
+
+    def _extended(
+        self, sections: KernelSections, nugget: Array, u: Array
+    ) -> Solution[GrowingInterpolant]:
+        """Return the interpolant of u with the last centres added."""
+        M = len(self.centers_)
+        if not np.array_equal(nugget[:M], self._nugget):
+            raise np.linalg.LinAlgError("the weights of centres have changed")
+        growth = getattr(self, "_basis", None)
+        if not isinstance(growth, GrowingInterpolant):
+            basis = self._native_basis()
+            growth = GrowingInterpolant.of(basis, self.centers_, self._values.means)
+        if len(u) > M:
+            growth.extend(sections, sections.centers[M:], nugget[M:], u[M:])
+        if not np.array_equal(u[:M], self._values.means):
+            growth.v = growth.factor.forward(u)
+        return growth.solution(u)
+
+    def _grown_selector(self, X: Array) -> tuple[SeparatedCenterSelector, Indices]:
+        """Return the selector after further rows, and which of them are new centres."""
+        selector = getattr(self, "_selector", None)
+        if selector is None:
+            selector = clone(self.centers)
+            if hasattr(self, "centers_"):
+                selector.partial_fit(self.centers_)
+        n_seen, n_known = 0, 0
+        if hasattr(selector, "center_indices_"):
+            n_seen, n_known = selector.n_samples_seen_, len(selector.center_indices_)
+        selector = copy(selector).partial_fit(X)
+        return selector, selector.center_indices_[n_known:] - n_seen
+
+    def _add_rows(self, X: Array, y: Array, started: bool) -> None:
+        """Add rows to least squares at chosen centres."""
+        if started and not hasattr(self, "_growth"):
+            raise ValueError(
+                "partial_fit of least squares at chosen centres continues from the "
+                "sums of earlier batches, which neither fit nor a pickle keeps; call "
+                "partial_fit from the first batch on."
+            )
+        outputs = y.reshape(len(y), -1)
+        growth, selector, rows = getattr(self, "_growth", None), None, None
+        batches = [(X, outputs)]
+        if isinstance(self.centers, SeparatedCenterSelector):
+            selector, new = self._grown_selector(X)
+            batches = [*getattr(self, "_batches", []), *batches]
+            rows = selector.center_indices_
+            points = selector.cluster_centers_
+            if len(new):
+                growth = None
+        if growth is None:
+            if selector is None:
+                points, _ = choose_centers(self.centers, X, y, among_rows=False)
+            kernel = as_kernel(self.kernel, self.beta, X.shape[1])
+            basis, kept = independent(
+                KernelSections(kernel, points),
+                points,
+                DEGREES[self.trend],
+                X,
+                str(self.solver),
+            )
+            growth = GrowingRegression.of(basis, kept, outputs.shape[1])
+            for batch in batches:
+                growth.add(*batch)
+        else:
+            growth.add(X, outputs)
+        try:
+            solution, residual = growth.solution(self.alpha, X)
+        except np.linalg.LinAlgError as error:
+            raise ValueError(f"No estimate: {error}. {REMEDY}") from error
+        if rows is not None:
+            rows = rows[growth.kept]
+        nugget = np.zeros(len(solution.dual))
+        self._store(solution, rows, nugget, y.shape[1:], growth.n_rows, residual)
+        self.solver_ = "cholesky" if self.solver == "cholesky" else "pivoted_cholesky"
+        self._growth, self._interpolates = growth, False
+        if selector is not None:
+            self._selector, self._batches = selector, batches
+
+    @abstractmethod
+    def fit(self, X: Any, y: Any) -> Self:
+        """Start anew."""
+
+    @abstractmethod
+    def _check_parameters(self) -> None:
+        """Refuse parameters outside their range."""
+
+    @abstractmethod
+    def _merged(
+        self, X: Array, values: Values, numbers: Indices
+    ) -> tuple[Indices, Values]:
+        """Average the values of equal rows."""
+
+    @abstractmethod
+    def _negligible(self, n_rows: int) -> float:
+        """Return which part of a section may be left out without a warning."""
+
+    @abstractmethod
+    def _native_basis(self) -> NativeBasis:
+        """Return the basis that the estimate was made in."""
+
+    @abstractmethod
+    def _store(
+        self,
+        solution: Solution[Any],
+        rows: Indices | None,
+        nugget: Array,
+        shape: tuple[int, ...],
+        n_rows: int,
+        residual: Array | None,
+    ) -> None:
+        """Store an estimate."""
