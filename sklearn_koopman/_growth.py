@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import clone
 from sklearn.utils import check_X_y
+from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import validate_data
 
 from sklearn_koopman._estimates import REMEDY, independent, interpolated
@@ -25,6 +26,37 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 DEGREES: dict[str | None, int | None] = {None: None, "constant": 0, "linear": 1}
+
+
+def _check_growth(model: GrowthMixin) -> bool:
+    """Refuse what cannot grow."""
+    if isinstance(getattr(model, "solver_", model.solver), ConjugateGradient):
+        raise ValueError(
+            "partial_fit extends a Cholesky factor, which conjugate gradients do not "
+            "have; fit with solver='pivoted_cholesky' from the first batch on."
+        )
+    centers, averages = model.centers, model.method == "least_squares"
+    chooses = isinstance(centers, SeparatedCenterSelector)
+    given = not chooses and not hasattr(centers, "fit") and not isinstance(centers, str)
+    if not (
+        centers is None
+        or (chooses and hasattr(centers, "partial_fit"))
+        or (given and averages)
+    ):
+        raise ValueError(
+            "partial_fit adds centres with centers=None or a "
+            "SeparatedCenterSelector(order='sequential'), and rows with "
+            "method='least_squares' and an array of centres, got "
+            f"centers={centers!r} and method={model.method!r}."
+        )
+    started = hasattr(model, "dual_coef_")
+    if averages and centers is not None and started and not hasattr(model, "_growth"):
+        raise ValueError(
+            "partial_fit of least squares at chosen centres continues from the sums "
+            "of earlier batches, which neither fit nor a pickle keeps; call "
+            "partial_fit from the first batch on."
+        )
+    return True
 
 
 class GrowthMixin:
@@ -45,8 +77,10 @@ class GrowthMixin:
     _interpolates: bool
     _nugget: Array
     _n_seen: int
+    _settings: tuple[Any, ...]
     _values: Values
 
+    @available_if(_check_growth)
     def partial_fit(self, X: Any, y: Any) -> Self:
         """Learn from further rows, as if all had been given to one `fit`.
 
@@ -71,9 +105,12 @@ class GrowthMixin:
         Raises
         ------
         ValueError
-            As in `fit`; for centres and solvers that cannot grow; for outputs of
-            another shape than before; for least squares at chosen centres after
-            `fit` or after loading from a pickle, neither of which keeps its sums.
+            As in `fit`; for outputs of another shape than before; for parameters that
+            were changed since. Nothing is learned from the batch then.
+        AttributeError
+            For centres and solvers that cannot grow, such as conjugate gradients; for
+            least squares at chosen centres after `fit` or after loading from a pickle,
+            neither of which keeps its sums.
 
         Notes
         -----
@@ -89,14 +126,19 @@ class GrowthMixin:
         """
         started = hasattr(self, "dual_coef_")
         given = X
+        if started:
+            validate_data(self, given, reset=False, skip_check_array=True)
         X, y = check_X_y(
             X, y, multi_output=True, y_numeric=True, dtype=np.float64, estimator=self
         )
         y = np.asarray(y, dtype=np.float64)
         self._check_parameters()
-        self._check_growth()
         if started:
-            validate_data(self, given, y, reset=False, skip_check_array=True)
+            if self._settings != self._current_settings():
+                raise ValueError(
+                    "Parameters were changed since the first batch; set them back, or "
+                    "call fit to start anew."
+                )
             if y.shape[1:] != self.dual_coef_.shape[1:]:
                 raise ValueError(
                     f"y has shape {y.shape}, but predictions for {len(y)} rows so far "
@@ -109,36 +151,10 @@ class GrowthMixin:
             else:
                 self.fit(given, y)
             return self
-        self._add_rows(X, y, started)
-        validate_data(self, given, y, reset=not started, skip_check_array=True)
+        self._add_rows(X, y)
+        if not started:
+            validate_data(self, given, y, skip_check_array=True)
         return self
-
-    def _check_growth(self) -> None:
-        """Refuse what `partial_fit` cannot extend."""
-        solver = getattr(self, "solver_", self.solver)
-        if isinstance(solver, ConjugateGradient):
-            raise ValueError(
-                "partial_fit extends a Cholesky factor, which conjugate gradients do "
-                "not have; fit with solver='pivoted_cholesky' from the first batch on."
-            )
-        chooses = isinstance(self.centers, SeparatedCenterSelector)
-        given = not hasattr(self.centers, "fit") and not isinstance(self.centers, str)
-        if not (
-            self.centers is None
-            or chooses
-            or (given and self.method == "least_squares")
-        ):
-            raise ValueError(
-                "partial_fit adds centres with centers=None or a "
-                "SeparatedCenterSelector, and rows with method='least_squares' and an "
-                f"array of centres, got centers={type(self.centers).__name__} and "
-                f"method={self.method!r}."
-            )
-        if hasattr(self, "_settings") and self._settings != self._current_settings():
-            raise ValueError(
-                "Parameters were changed since the first batch; set them back, or call "
-                "fit to start anew."
-            )
 
     def _current_settings(self) -> tuple[Any, ...]:
         kernel = as_kernel(self.kernel, self.beta, None)
@@ -212,20 +228,15 @@ class GrowthMixin:
         selector = copy(selector).partial_fit(X)
         return selector, selector.center_indices_[n_known:] - n_seen
 
-    def _add_rows(self, X: Array, y: Array, started: bool) -> None:
+    def _add_rows(self, X: Array, y: Array) -> None:
         """Add rows to least squares at chosen centres."""
-        if started and not hasattr(self, "_growth"):
-            raise ValueError(
-                "partial_fit of least squares at chosen centres continues from the "
-                "sums of earlier batches, which neither fit nor a pickle keeps; call "
-                "partial_fit from the first batch on."
-            )
         outputs = y.reshape(len(y), -1)
         growth, selector, rows = getattr(self, "_growth", None), None, None
         batches = [(X, outputs)]
         if isinstance(self.centers, SeparatedCenterSelector):
             selector, new = self._grown_selector(X)
-            batches = [*getattr(self, "_batches", []), *batches]
+            # Copies: the next batch may come in the same memory.
+            batches = [*getattr(self, "_batches", []), (X.copy(), outputs.copy())]
             rows = selector.center_indices_
             points = selector.cluster_centers_
             if len(new):

@@ -99,7 +99,8 @@ class KernelSections:
     @property
     def is_compact(self) -> bool:
         """Whether k(x, xi) is zero from some distance on."""
-        return isinstance(self.kernel, RadialKernel) and self.kernel.is_compact
+        radial = isinstance(self.kernel, RadialKernel)
+        return radial and bool(np.isfinite(self.kernel.support_radius))
 
     def take(self, kept: Indices) -> KernelSections:
         return KernelSections(self.kernel, self.centers[kept])

@@ -50,7 +50,7 @@ def check_magnitude(
     X: NDArray[np.float64], smallest: float = 1e-150, name: str = "X"
 ) -> None:
     """Refuse states whose squared distances leave the range of a double."""
-    largest = np.abs(X).max()
+    largest = max(X.max(), -X.min())  # without a copy of all values
     if largest > 1e150 or 0 < largest < smallest:
         raise ValueError(
             f"{name} has values up to {largest:.3g}, whose squares double precision "

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from sklearn.base import (
     clone,
 )
 from sklearn.utils import check_array
+from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_koopman._validation import check_integer, check_magnitude, check_number
@@ -25,6 +28,20 @@ __all__ = ["SeparatedCenterSelector"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
+
+# Rows gone through at a time, so that temporary arrays stay small and in the cache.
+CHUNK = 2**14
+# Rows few enough to measure all their distances sooner than to build a tree.
+FEW = 64
+
+
+def _takes_batches(selector: SeparatedCenterSelector) -> bool:
+    if isinstance(selector.order, str) and selector.order == "farthest":
+        raise AttributeError(
+            "partial_fit cannot select with order='farthest', which compares all "
+            "samples at once; use order='sequential', or fit on all samples."
+        )
+    return True
 
 
 class SeparatedCenterSelector(
@@ -61,15 +78,21 @@ class SeparatedCenterSelector(
     ----------
     center_indices_ : ndarray of shape (n_centers,)
         The rows of the centres in the data given to `fit`, in the order in which
-        they were selected.
+        they were selected. With `partial_fit`, counted through all batches.
     cluster_centers_ : ndarray of shape (n_centers, n_features)
         The centres.
     labels_ : ndarray of shape (n_samples,)
-        The nearest centre of each sample, or one of them.
+        The nearest centre of each sample, or one of them. After `partial_fit`, of the
+        samples of the last batch.
     separation_distance_ : float
         Half the smallest distance between two centres; infinite for one centre.
     fill_distance_ : float
-        The largest distance of a sample from its nearest centre.
+        The largest distance of a sample from its nearest centre. After `partial_fit`
+        an upper bound of it: the samples of each batch are measured once, to the
+        centres known then, though later ones may lie nearer.
+    n_samples_seen_ : int
+        Number of samples that `fit` and the calls of `partial_fit` after it went
+        through.
     n_features_in_ : int
         Number of features seen during `fit`.
     feature_names_in_ : ndarray of shape (n_features_in_,)
@@ -82,8 +105,9 @@ class SeparatedCenterSelector(
     Notes
     -----
     Distances are Euclidean: put a scaler in front where the states have different
-    units. A kd-tree covers the ball of every new centre, so that low-dimensional
-    motion costs about n log n however many features describe it; memory is linear.
+    units. Samples are compared with kd-trees of the centres before them, so that
+    low-dimensional motion costs about n log n however many features describe it;
+    memory is linear. `partial_fit` keeps the centres and one batch.
 
     References
     ----------
@@ -104,6 +128,14 @@ class SeparatedCenterSelector(
     array([0, 0, 1, 1, 2])
     >>> selector.separation_distance_, selector.fill_distance_
     (0.5, 0.4)
+
+    Batch by batch the centres are the same:
+
+    >>> selector = SeparatedCenterSelector(separation=0.5)
+    >>> for batch in (X[:2], X[2:]):
+    ...     selector = selector.partial_fit(batch)
+    >>> selector.center_indices_
+    array([0, 2, 4])
     """
 
     def __init__(
@@ -137,10 +169,66 @@ class SeparatedCenterSelector(
         ValueError
             If a parameter is outside its range, or `X` is no finite 2-D array.
         """
-        given = X
-        X = check_array(X, dtype=np.float64, estimator=self, input_name="X")
-        check_magnitude(X)
+        return self._extend(X, {})
+
+    @available_if(_takes_batches)
+    def partial_fit(self, X: Any, y: Any = None) -> SeparatedCenterSelector:
+        """Go on selecting, with the next batch of samples.
+
+        The centres are those of one `fit` to all batches in a row, however they are
+        divided, while memory holds no more than the centres and one batch.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            The states that follow those of the calls before, of `fit` included.
+        y : object, default=None
+            Not used.
+
+        Returns
+        -------
+        self : SeparatedCenterSelector
+            The fitted selector.
+
+        Raises
+        ------
+        AttributeError
+            With ``order="farthest"``, which needs all samples at once.
+        ValueError
+            As in `fit`, or if the features are not those of the calls before.
+
+        Notes
+        -----
+        Parameters that were set in between hold from this batch on; centres selected
+        before remain.
+
+        Examples
+        --------
+        >>> from sklearn_koopman import SeparatedCenterSelector
+        >>> selector = SeparatedCenterSelector(separation=0.5)
+        >>> selector.partial_fit([[0.0], [0.4]]).center_indices_
+        array([0])
+        >>> selector.partial_fit([[1.0], [1.1], [2.5]]).center_indices_
+        array([0, 2, 4])
+        >>> selector.labels_, selector.n_samples_seen_
+        (array([1, 1, 2]), 5)
+        """
+        return self._extend(X, vars(self))
+
+    def _extend(self, given: Any, fitted: Mapping[str, Any]) -> SeparatedCenterSelector:
+        """Select among the samples, given the attributes of a fit to those before."""
+        is_first = "n_samples_seen_" not in fitted
+        if is_first:
+            X = check_array(
+                given, dtype=np.float64, order="C", estimator=self, input_name="X"
+            )
+        else:
+            X = validate_data(self, given, reset=False, dtype=np.float64, order="C")
+        known = fitted.get("cluster_centers_", np.empty((0, X.shape[1])))
+        # Next to known states, small values are differences that may be neglected.
+        check_magnitude(X, smallest=0 if known.any() else 1e-150)
         check_number(self.separation, "separation")
+        separation = float(self.separation)
         if self.max_centers is not None:
             check_integer(self.max_centers, "max_centers", 1)
         orders = ("sequential", "farthest")
@@ -148,18 +236,41 @@ class SeparatedCenterSelector(
             raise ValueError(
                 f"order must be 'sequential' or 'farthest', got {self.order!r}."
             )
-        sequential = self.order == "sequential"
-        select = sequential_centers if sequential else farthest_centers
-        indices = select(X, self.separation, self.max_centers)
-        centers = X[indices]
-        labels = _nearest(X, centers)
+        n_seen = fitted.get("n_samples_seen_", 0)
+        # Loaded from a pickle, the centres come without their trees.
+        trees = fitted.get("_trees") or [KDTree(known)]
+        distances, labels = _nearest(X, trees)
+        if self.order == "sequential":
+            most = n_seen + len(X) if self.max_centers is None else self.max_centers
+            candidates = np.flatnonzero(~_covered(X, distances, trees, separation))
+            rows = _separated(X, candidates, separation, most - len(known))
+        else:
+            rows = farthest_centers(X, separation, self.max_centers)
+        centers = known
+        closest = 2 * fitted.get("separation_distance_", np.inf)
+        if len(rows):
+            added = KDTree(X[rows])
+            centers = np.vstack([known, added.data])
+            closest = min(closest, _smallest_distance(added))
+            if not is_first:
+                gaps = _distances(added.data, known[labels[rows]])
+                closest = min(closest, float(gaps.min()))
+            to_added, label = _nearest(X, [added])
+            labels = np.where(to_added < distances, len(known) + label, labels)
+            trees = _merged(trees, added, len(X))
+        fill = _largest_distance(X, centers, labels)
+
         # Attributes are set last: a fit that fails leaves the selector as it was.
-        validate_data(self, given, skip_check_array=True)
-        self.center_indices_ = indices
+        if is_first:
+            validate_data(self, given, skip_check_array=True)
+        indices = fitted.get("center_indices_", np.empty(0, dtype=np.intp))
+        self.center_indices_ = np.concatenate([indices, n_seen + rows])
         self.cluster_centers_ = centers
         self.labels_ = labels
-        self.separation_distance_ = _smallest_distance(centers) / 2
-        self.fill_distance_ = float(_distances(X, centers[labels]).max())
+        self.separation_distance_ = closest / 2
+        self.fill_distance_ = max(fitted.get("fill_distance_", 0.0), fill)
+        self.n_samples_seen_ = n_seen + len(X)
+        self._trees = trees
         return self
 
     def transform(self, X: Any) -> Array:
@@ -196,7 +307,13 @@ class SeparatedCenterSelector(
         check_is_fitted(self)
         X = validate_data(self, X, reset=False, dtype=np.float64)
         check_magnitude(X, smallest=0)
-        return _nearest(X, self.cluster_centers_)
+        return _nearest(X, [KDTree(self.cluster_centers_)])[1]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the trees, which follow from the centres."""
+        state = dict(super().__getstate__())
+        state.pop("_trees", None)
+        return state
 
     @property
     def _n_features_out(self) -> int:
@@ -223,19 +340,7 @@ def sequential_centers(
         The rows kept, in rising order.
     """
     most = len(X) if max_centers is None else max_centers
-    tree, order = _sorted_tree(X)
-    uncovered = np.ones(len(X), dtype=bool)
-    indices: list[int] = []
-    row = 0
-    while len(indices) < most:
-        indices.append(row)
-        near, distances = _ball(tree, X[row], separation)
-        uncovered[order[near[distances <= separation]]] = False
-        # The next sample not covered is the next centre: those before it are not.
-        row += int(uncovered[row:].argmax())
-        if not uncovered[row]:
-            break
-    return np.array(indices, dtype=np.intp)
+    return _separated(X, np.arange(len(X)), float(separation), most)
 
 
 def farthest_centers(
@@ -461,20 +566,115 @@ def _ball(tree: KDTree, x: Array, radius: float) -> tuple[Indices, Array]:
     return near, _distances(tree.data[near], x)
 
 
-def _nearest(X: Array, centers: Array) -> Indices:
-    """Return which centre is nearest to each sample."""
-    _, labels = KDTree(centers).query(X)
-    return np.asarray(labels, dtype=np.intp)
+def _separated(X: Array, rows: Indices, separation: float, most: int) -> Indices:
+    """Select at most so many centres among some rows, gone through in their order.
+
+    Once the first half has its centres, one query tells which rows of the second half
+    they cover. Nearly all, mostly: hence a row is compared with few trees, and work
+    and memory do not grow with the number of rows in a ball.
+    """
+    if len(rows) <= FEW:
+        points = X[rows]
+        near = _distances(points[:, np.newaxis], points) <= separation
+        covered = np.zeros(len(rows), dtype=bool)
+        kept: list[int] = []
+        for i in range(len(rows)):
+            if not covered[i] and len(kept) < most:
+                kept.append(i)
+                covered |= near[i]
+        return rows[kept]
+    half = len(rows) // 2
+    first = _separated(X, rows[:half], separation, most)
+    if len(first) >= most:
+        return first
+    tree = KDTree(X[first])
+    _, beyond = _margin(separation)
+    uncovered = []
+    for start in range(half, len(rows), CHUNK):
+        chunk = rows[start : start + CHUNK]
+        points = X[chunk]
+        distances, _ = tree.query(points, distance_upper_bound=beyond)
+        covered = _covered(points, np.asarray(distances), [tree], separation)
+        uncovered.append(chunk[~covered])
+    rest = np.concatenate(uncovered)
+    return np.concatenate([first, _separated(X, rest, separation, most - len(first))])
+
+
+def _covered(
+    X: Array, distances: Array, trees: list[KDTree], separation: float
+) -> NDArray[np.bool_]:
+    """Tell which samples lie within the separation of a centre in the trees.
+
+    The distances to the nearest centre, as trees compute them, decide where rounding
+    cannot matter. Elsewhere those of all centres at about the separation do.
+    """
+    within, beyond = _margin(separation)
+    covered = distances <= within
+    close = np.flatnonzero(~covered & (distances <= beyond))
+    for tree, start in product(trees, range(0, len(close), CHUNK)):
+        rows = close[start : start + CHUNK]
+        found: Any = tree.query_ball_point(X[rows], beyond, return_sorted=False)
+        rows = np.repeat(rows, [len(centers) for centers in found])
+        centers = np.concatenate(found).astype(np.intp)
+        hit = _distances(X[rows], tree.data[centers]) <= separation
+        covered[rows[hit]] = True
+    return covered
+
+
+def _margin(separation: float) -> tuple[float, float]:
+    """Return the distances up to, and from which, a tree's rounding cannot matter.
+
+    The absolute part is for squares that leave the range of a double.
+    """
+    within = separation * (1 - 1e-9) - 1e-150
+    return max(within, 0.0), separation * (1 + 1e-9) + 1e-150
+
+
+def _nearest(X: Array, trees: list[KDTree]) -> tuple[Array, Indices]:
+    """Return the distance and the number of the centre nearest to each sample.
+
+    The trees hold the centres in their order. Without any the distance is infinite.
+    """
+    distances = np.full(len(X), np.inf)
+    labels = np.zeros(len(X), dtype=np.intp)
+    first = 0
+    for tree in trees:
+        found, label = tree.query(X, distance_upper_bound=distances.max())
+        nearer = found < distances
+        distances[nearer] = np.asarray(found)[nearer]
+        labels[nearer] = first + np.asarray(label)[nearer]
+        first += tree.n
+    return distances, labels
+
+
+def _merged(trees: list[KDTree], added: KDTree, n_samples: int) -> list[KDTree]:
+    """Add the tree of new centres to those of the centres before.
+
+    Trees of a similar size are merged. Then there are few, and a centre moves to
+    another only a few times: rebuilding one for every small batch would cost more than
+    to select. Nor is a tree worth asking that is smaller than the batches are.
+    """
+    while trees and trees[-1].n < max(2 * added.n, n_samples):
+        *trees, last = trees
+        added = KDTree(np.vstack([last.data, added.data]))
+    return [*trees, added]
 
 
 def _distances(X: Array, x: Array) -> Array:
     difference = X - x
     difference *= difference
-    return np.sqrt(difference.sum(axis=1))
+    return np.sqrt(difference.sum(axis=-1))
 
 
-def _smallest_distance(X: Array) -> float:
-    if len(X) < 2:
+def _smallest_distance(tree: KDTree) -> float:
+    if tree.n < 2:
         return np.inf
-    _, neighbors = KDTree(X).query(X, k=2)
-    return float(_distances(X, X[np.asarray(neighbors)[:, 1]]).min())
+    _, neighbors = tree.query(tree.data, k=2)
+    return float(_distances(tree.data, tree.data[np.asarray(neighbors)[:, 1]]).min())
+
+
+def _largest_distance(X: Array, centers: Array, labels: Indices) -> float:
+    chunks = (slice(start, start + CHUNK) for start in range(0, len(X), CHUNK))
+    return max(
+        float(_distances(X[chunk], centers[labels[chunk]]).max()) for chunk in chunks
+    )

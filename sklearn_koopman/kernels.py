@@ -69,11 +69,6 @@ class RadialKernel(
         """Distance from which on the kernel is zero; infinite unless compact."""
         return np.inf
 
-    @property
-    def is_compact(self) -> bool:
-        """Whether the kernel is zero from some distance on."""
-        return bool(np.isfinite(self.support_radius))
-
     @abstractmethod
     def profile(self, r: Array, n_features: int, out: Array | None = None) -> Array:
         """Evaluate phi.

@@ -17,7 +17,7 @@ from sklearn_koopman._estimates import (
     negligible_tolerance,
     regressed,
 )
-from sklearn_koopman._growth import GrowthMixin
+from sklearn_koopman._growth import DEGREES, GrowthMixin
 from sklearn_koopman._large import ImplicitBasis
 from sklearn_koopman._native import NativeBasis
 from sklearn_koopman._sections import DistanceSections, KernelSections, Sections
@@ -36,8 +36,6 @@ __all__ = ["KoopmanKernelRegressor"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-
-DEGREES: dict[str | None, int | None] = {None: None, "constant": 0, "linear": 1}
 
 
 class KoopmanKernelRegressor(

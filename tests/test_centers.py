@@ -2,6 +2,7 @@
 
 import pickle
 import tracemalloc
+from copy import deepcopy
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -254,6 +255,273 @@ def test_max_centers_takes_the_first_in_order_of_the_rows():
         fill = all_distances(X, X[full[:m]]).min(axis=1).max()
         assert_allclose(selector.fill_distance_, fill, rtol=1e-14)
     assert SeparatedCenterSelector(1.0, max_centers=5).fit(X).fill_distance_ > 1
+
+
+# --- batch by batch -----------------------------------------------------------------
+
+
+def stream(selector, X, ends):
+    """Fit to the batches that end at the given rows; none is empty."""
+    ends = sorted({end for end in ends if 0 < end < len(X)})
+    for batch in np.split(X, ends):
+        assert selector.partial_fit(batch) is selector
+    return selector
+
+
+def check_stream(X, ends, **parameters):
+    """Compare with one fit to all samples; return both selectors."""
+    whole = SeparatedCenterSelector(**parameters).fit(X)
+    parts = stream(SeparatedCenterSelector(**parameters), X, ends)
+    assert_array_equal(parts.center_indices_, whole.center_indices_)
+    assert_array_equal(parts.cluster_centers_, whole.cluster_centers_)
+    assert parts.center_indices_.dtype == whole.center_indices_.dtype
+    assert parts.n_samples_seen_ == whole.n_samples_seen_ == len(X)
+    assert_allclose(parts.separation_distance_, whole.separation_distance_, rtol=1e-15)
+    assert parts.fill_distance_ >= whole.fill_distance_ * (1 - 1e-15)
+    if parameters.get("max_centers") is None:
+        assert parts.fill_distance_ <= parameters["separation"]
+    last = X[max([0, *(end for end in ends if 0 < end < len(X))]) :]
+    nearest = all_distances(last, whole.cluster_centers_)
+    rows = np.arange(len(last))
+    assert_allclose(nearest[rows, parts.labels_], nearest.min(axis=1), rtol=1e-14)
+    return whole, parts
+
+
+def make_hard(kind, dimension, n_samples, seed):
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(n_samples, dimension))
+    if kind == "lattice":
+        return 0.1 * rng.integers(-2, 3, (n_samples, dimension))
+    if kind == "duplicates":
+        return X[rng.integers(0, n_samples // 4 + 1, n_samples)]
+    if kind == "line":
+        return np.linspace(0, 4, n_samples)[:, np.newaxis] * np.ones(dimension)
+    if kind == "clusters":
+        return 1e-3 * X + rng.integers(0, 3, (n_samples, 1))
+    if kind == "spread":
+        return X * 10.0 ** rng.integers(-8, 3, (n_samples, 1))
+    return X.cumsum(axis=0)
+
+
+HARD = ["lattice", "duplicates", "line", "clusters", "spread", "walk"]
+# Multiples of the lattice's spacing, met exactly by some distances and missed by
+# others in the last digit; and what lies between them.
+SEPARATIONS = [0.0, 0.1, 0.2, 0.1 * np.sqrt(2), 0.3, 1e-3, 0.7, 1.0, 3.0]
+
+
+@settings(max_examples=150, deadline=None, derandomize=True, database=None)
+@given(
+    st.sampled_from(HARD),
+    st.sampled_from([1, 2, 3, 5, 8, 9, 17, 30]),
+    st.integers(1, 300),
+    st.sampled_from(SEPARATIONS),
+    st.sampled_from([(1.0, 0.0), (1.0, 1e8), (1e-140, 0.0), (1e120, 0.0), (0.3, -7)]),
+    st.lists(st.integers(1, 299), max_size=8),
+    st.none() | st.integers(1, 40),
+    st.integers(0, 9),
+)
+def test_batches_give_the_centres_of_one_fit(
+    kind, dimension, n_samples, separation, move, ends, max_centers, seed
+):
+    unit, offset = move
+    X = unit * make_hard(kind, dimension, n_samples, seed) + offset
+    # A first batch of values near zero alone is refused.
+    X[0] = np.where(X[0] == 0, 0, np.maximum(np.abs(X[0]), unit))
+    separation *= unit
+    whole, _ = check_stream(X, ends, separation=separation, max_centers=max_centers)
+    expected = sequential_loop(X, separation)[:max_centers]
+    assert_array_equal(whole.center_indices_, expected)
+
+
+@pytest.mark.parametrize("kind", HARD)
+@pytest.mark.parametrize("dimension", [1, 3, 10])
+def test_one_row_at_a_time(kind, dimension):
+    X = make_hard(kind, dimension, 100, 3)
+    for separation in (0.2, 0.7):
+        for max_centers in (None, 5):
+            check_stream(X, range(100), separation=separation, max_centers=max_centers)
+
+
+@pytest.mark.parametrize("size", [1, 7, 64, 65, 1000])
+def test_small_batches_with_many_centres(size):
+    # Enough for several trees, which merge many times.
+    rng = np.random.default_rng(size)
+    X = rng.uniform(size=(3000, 2))
+    whole, parts = check_stream(X, range(0, 3000, size), separation=0.02)
+    assert len(whole.center_indices_) > 1000
+    sizes = [tree.n for tree in parts._trees]
+    assert sum(sizes) == len(whole.center_indices_)
+    assert all(before >= 2 * after for before, after in pairwise(sizes))
+    held = np.vstack([tree.data for tree in parts._trees])
+    assert_array_equal(held, parts.cluster_centers_)
+
+
+def test_ties_between_batches():
+    # Whether 0.1 * 3 - 0.1 * 2 is above 0.1 is for rounding to say, the same in all.
+    X = 0.1 * np.random.default_rng(0).integers(-4, 5, (500, 2))
+    for separation in (0.1, 0.2, 0.1 * np.sqrt(2), 0.3, 0.5):
+        expected = sequential_loop(X, separation)
+        for size in (1, 10, 199):
+            ends = range(0, 500, size)
+            parts = stream(SeparatedCenterSelector(separation), X, ends)
+            assert_array_equal(parts.center_indices_, expected)
+
+
+def test_columns_in_memory_do_not_change_the_rounding():
+    # NumPy adds the squares of columns in another order than those of rows.
+    for seed in range(20):
+        X = 0.1 * np.random.default_rng(seed).integers(-1, 2, (300, 12))
+        for separation in (0.1, 0.2, 0.3, 0.4):
+            expected = sequential_loop(X, separation)
+            columns = np.asfortranarray(X)
+            selector = SeparatedCenterSelector(separation).fit(columns)
+            assert_array_equal(selector.center_indices_, expected)
+            selector.fit(columns[:100]).partial_fit(columns[100:])
+            assert_array_equal(selector.center_indices_, expected)
+
+
+def test_fill_distance_of_batches_is_an_upper_bound():
+    X = np.array([[0.0], [0.8], [1.1], [0.9]])
+    whole = SeparatedCenterSelector(1.0).fit(X)
+    parts = stream(SeparatedCenterSelector(1.0), X, [2])
+    # 0.8 is measured before 1.1 is known.
+    assert parts.fill_distance_ == 0.8
+    assert_allclose(whole.fill_distance_, 0.3)
+    assert stream(SeparatedCenterSelector(1.0), X, []).fill_distance_ < 0.31
+    # Centres that reach their number leave samples uncovered.
+    parts = SeparatedCenterSelector(1.0, max_centers=2)
+    parts = stream(parts, np.arange(9.0)[:, np.newaxis], [5])
+    assert_array_equal(parts.center_indices_, [0, 2])
+    assert parts.fill_distance_ == 6
+    assert_array_equal(parts.labels_, [1, 1, 1, 1])
+
+
+def test_labels_are_those_of_the_last_batch():
+    selector = SeparatedCenterSelector(1.0).fit([[0.0], [2.0], [4.0]])
+    # Nearer to an old centre, to a new one of the same batch, to that itself.
+    selector.partial_fit([[2.9], [5.4], [6.0], [3.2]])
+    assert_array_equal(selector.center_indices_, [0, 1, 2, 4])
+    assert_array_equal(selector.labels_, [1, 3, 3, 2])
+    assert selector.separation_distance_ == (5.4 - 4.0) / 2
+
+
+def test_fit_starts_anew_and_partial_fit_goes_on():
+    X, Y = make_data("walk", 3), make_data("normal", 2)
+    selector = stream(SeparatedCenterSelector(0.5), X, [100])
+    selector.fit(Y[:300])
+    assert selector.n_samples_seen_ == 300
+    assert_array_equal(selector.center_indices_, sequential_loop(Y[:300], 0.5))
+    selector.partial_fit(Y[300:])
+    assert selector.n_samples_seen_ == 400
+    assert_array_equal(selector.center_indices_, sequential_loop(Y, 0.5))
+    # The centres found farthest first serve as a start, too.
+    selector.set_params(order="farthest").fit(Y[:300])
+    first = selector.center_indices_
+    selector.set_params(order="sequential").partial_fit(Y[300:])
+    assert_array_equal(selector.center_indices_[: len(first)], first)
+    assert (all_distances(Y, selector.cluster_centers_).min(axis=1) <= 0.5).all()
+
+
+@pytest.mark.parametrize("travel", [lambda s: pickle.loads(pickle.dumps(s)), deepcopy])
+def test_batches_go_on_after_a_copy(travel):
+    X = make_data("uniform", 3)
+    selector = SeparatedCenterSelector(0.2)
+    for batch in np.split(X, 8):
+        selector = travel(selector.partial_fit(batch))
+        assert not hasattr(selector, "_trees")
+    assert_array_equal(selector.center_indices_, sequential_loop(X, 0.2))
+    again = clone(selector)
+    assert not hasattr(again, "n_samples_seen_")
+    assert_array_equal(stream(again, X, [7]).cluster_centers_, X[again.center_indices_])
+    assert_array_equal(again.center_indices_, selector.center_indices_)
+
+
+def test_a_pickle_holds_the_centres_but_no_trees():
+    X = make_data("uniform", 3)
+    selector = stream(SeparatedCenterSelector(0.0), X, [200])
+    arrays = selector.cluster_centers_, selector.center_indices_, selector.labels_
+    assert len(pickle.dumps(selector)) < sum(a.nbytes for a in arrays) + 1500
+
+
+def test_parameters_set_between_batches_hold_from_the_next_one():
+    X = np.arange(10.0)[:, np.newaxis]
+    selector = SeparatedCenterSelector(1.0).partial_fit(X[:4])
+    assert_array_equal(selector.center_indices_, [0, 2])
+    selector.set_params(separation=2.5).partial_fit(X[4:7])
+    assert_array_equal(selector.center_indices_, [0, 2, 5])
+    selector.set_params(separation=0.0, max_centers=2).partial_fit(X[7:9])
+    assert_array_equal(selector.center_indices_, [0, 2, 5])
+    selector.set_params(max_centers=None).partial_fit(X[9:])
+    assert_array_equal(selector.center_indices_, [0, 2, 5, 9])
+    assert_array_equal(selector.cluster_centers_, [[0], [2], [5], [9]])
+
+
+def test_batches_hold_the_centres_and_one_batch_only():
+    rng = np.random.default_rng(0)
+    selector = SeparatedCenterSelector(0.1)
+    for _ in range(10):
+        selector.partial_fit(rng.uniform(size=(2000, 3)))
+    tracemalloc.start()
+    try:
+        for _ in range(100):
+            selector.partial_fit(rng.uniform(size=(2000, 3)))
+        rest, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    centers = selector.cluster_centers_.nbytes
+    assert selector.n_samples_seen_ == 220_000
+    assert rest < 3 * centers + 2000 * 10
+    assert peak < 10 * centers + 10 * 2000 * 3 * 8 < 220_000 * 3 * 8 / 4
+
+
+# Some batches are arrays, though the first was a frame.
+@pytest.mark.filterwarnings("ignore:X does not have valid feature names")
+def test_batches_are_checked_and_leave_the_selector_as_it_was():
+    X = make_data("normal", 2)
+    frame = pd.DataFrame(X, columns=["hip", "knee"])
+    selector = SeparatedCenterSelector(0.5).partial_fit(frame[:100])
+    before = {**vars(selector)}
+    for batch, message in (
+        (X[:, :1], "X has 1 features, but SeparatedCenterSelector is expecting 2"),
+        (frame[["knee", "hip"]], "feature names"),
+        ([[0.0, np.nan]], "NaN"),
+        (np.empty((0, 2)), r"0 sample\(s\)"),
+        ([[1e200, 0.0]], "rescale X"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            selector.partial_fit(batch)
+    for parameters in ({"separation": -1}, {"max_centers": 0}, {"order": "random"}):
+        (name,) = parameters
+        with pytest.raises(ValueError, match=f"^{name} must be"):
+            clone(selector).set_params(**parameters).partial_fit(X)
+        valid = selector.get_params()[name]
+        with pytest.raises(ValueError, match=f"^{name} must be"):
+            selector.set_params(**parameters).partial_fit(frame)
+        selector.set_params(**{name: valid})
+    after = vars(selector)
+    assert after.keys() == before.keys()
+    assert all(after[name] is before[name] for name in before)
+    with pytest.warns(UserWarning, match="does not have valid feature names"):
+        selector.partial_fit(X[100:])
+    assert_array_equal(selector.center_indices_, sequential_loop(X, 0.5))
+    assert_array_equal(selector.feature_names_in_, ["hip", "knee"])
+
+
+def test_values_near_zero_are_fine_once_the_scale_is_known():
+    selector = SeparatedCenterSelector().partial_fit([[0.0], [3.0]])
+    selector.partial_fit([[1e-200]])
+    assert_array_equal(selector.center_indices_, [0, 1])
+    with pytest.raises(ValueError, match="1e-200"):
+        SeparatedCenterSelector().partial_fit([[0.0]]).partial_fit([[1e-200]])
+
+
+def test_farthest_first_has_no_batches():
+    selector = SeparatedCenterSelector(order="farthest")
+    assert not hasattr(selector, "partial_fit")
+    assert not hasattr(selector.fit([[0.0], [3.0]]), "partial_fit")
+    with pytest.raises(AttributeError, match="no attribute 'partial_fit'") as error:
+        selector.partial_fit([[9.0]])
+    assert "use order='sequential', or fit" in str(error.value.__cause__)
 
 
 # --- fitted attributes and methods --------------------------------------------------
