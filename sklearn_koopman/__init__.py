@@ -4,11 +4,13 @@ from sklearn_koopman.centers import SeparatedCenterSelector
 from sklearn_koopman.edmd import KernelEDMD
 from sklearn_koopman.regression import KoopmanKernelRegressor
 from sklearn_koopman.scoring import forecast_score, valid_horizon
+from sklearn_koopman.search import KoopmanKernelRegressorCV
 from sklearn_koopman.trajectories import TrajectoryKFold, trajectory_pairs
 
 __all__ = [
     "KernelEDMD",
     "KoopmanKernelRegressor",
+    "KoopmanKernelRegressorCV",
     "SeparatedCenterSelector",
     "TrajectoryKFold",
     "forecast_score",

@@ -24,6 +24,8 @@ Product = Callable[[Array], Array]
 
 # Entries of the small matrices that are factored at once.
 BATCH = 2**21
+# Part of a vector that rounding leaves where the whole lies along given directions.
+ROUNDING = 1e-14
 
 
 @dataclass(frozen=True)
@@ -50,9 +52,12 @@ def conjugate_gradients(
     """
 
     def project(v: Array) -> Array:
-        return v - P @ (P.T @ v) if P.shape[1] else v
+        return complement(P, v)
 
-    b = project(b)
+    # In units of the largest values: the squares of others may not fit in a double.
+    unit = np.abs(b).max(axis=0, initial=0.0)
+    unit[unit == 0] = 1.0
+    b = beyond_rounding(b / unit, P)
     size = np.linalg.norm(b, axis=0)
     x = np.zeros_like(b)
     residual, best = b, np.full(b.shape[1], np.inf)
@@ -64,7 +69,7 @@ def conjugate_gradients(
         best = error
         if not len(open_) or n_iter >= max_iter:
             reached = np.divide(error, size, out=np.zeros_like(error), where=size > 0)
-            return Converged(x, n_iter, float(reached.max(initial=0.0)))
+            return Converged(x * unit, n_iter, float(reached.max(initial=0.0)))
         step, taken = _descend(
             lambda v: project(product(v)),
             residual[:, open_],
@@ -75,6 +80,24 @@ def conjugate_gradients(
         n_iter += taken
         x[:, open_] += step
         residual = b - project(product(x))
+
+
+def complement(P: Array, v: Array) -> Array:
+    """Return v less its part along the orthonormal columns of P.
+
+    Twice: what rounding leaves the first time may be all of a small remainder.
+    """
+    if P.shape[1]:
+        v = v - P @ (P.T @ v)
+        v = v - P @ (P.T @ v)
+    return v
+
+
+def beyond_rounding(v: Array, P: Array) -> Array:
+    """Return the same, with zero for columns of which only rounding is left."""
+    left = complement(P, v)
+    size, whole = (np.abs(x).max(axis=0, initial=0.0) for x in (left, v))
+    return np.where(size > ROUNDING * whole, left, 0.0)
 
 
 def _descend(
@@ -119,10 +142,13 @@ def neighbor_preconditioner(
     smoothness, centres farther away tell next to nothing.
     """
     n = len(points)
-    order = _coarse_to_fine(points)
+    # In units of the largest value: a kd-tree finds no neighbour at a distance whose
+    # square overflows, and ties where it underflows.
+    scaled = points / (np.abs(points).max() or 1.0)
+    order = _coarse_to_fine(scaled)
     x, d = points[order], diagonal[order]
     k = min(n_neighbors, n - 1)
-    neighbors = _nearest_predecessors(x, k)
+    neighbors = _nearest_predecessors(scaled[order], k)
     rows, columns, values = [], [], []
     # The first ones have fewer predecessors.
     for i in range(k):

@@ -7,17 +7,21 @@ polynomials of the tail, whose coefficients follow from what is left of the valu
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
+from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_random_state, gen_batches
 
 from sklearn_koopman import _sparse
 from sklearn_koopman._iterative import (
     Converged,
     Product,
+    beyond_rounding,
+    complement,
     conjugate_gradients,
     low_rank_inverse,
     neighbor_preconditioner,
@@ -152,7 +156,12 @@ class ImplicitBasis:
 
     def solve(self, u: Array) -> Converged:
         """Return the coefficients c with u - K c a polynomial and Q^T c = 0."""
-        found = conjugate_gradients(
+        found = self._descend(u)
+        _check(found)
+        return found
+
+    def _descend(self, u: Array) -> Converged:
+        return conjugate_gradients(
             self.product,
             u,
             self.precondition,
@@ -160,11 +169,9 @@ class ImplicitBasis:
             self.solver.tol,
             self.solver.max_iter,
         )
-        _check(found)
-        return found
 
-    def variance(self, X: Array) -> Array:
-        """Evaluate the squared power function.
+    def variance(self, X: Array) -> tuple[Array, float]:
+        """Evaluate the squared power function, and the residual of the weights.
 
         Any weights w with P^T w = p(x) give k(x, x) - 2 w^T k(Xi, x) + w^T K w: the
         least of all values for those solved for, and too much, never too little, by
@@ -176,14 +183,36 @@ class ImplicitBasis:
             # Polynomials at x by their values at the centres.
             w += self.Q @ polynomial(X, self.tail.origin, self.tail.seen).T
         Kw = self.product(w) if self.tail is not None else w
-        step = self.solve(b - Kw).x
-        w += step
+        at_first = np.einsum("ij,ij->j", w, Kw - 2 * b)
+        found = self._descend(b - Kw)
+        w += found.x
         quadratic = np.einsum("ij,ij->j", w, self.product(w) - 2 * b)
-        return np.maximum(self.sections.diagonal(X) + quadratic, 0.0)
+        # Weights that have diverged say less than those before.
+        quadratic = np.fmin(quadratic, at_first)
+        variance = np.maximum(self.sections.diagonal(X) + quadratic, 0.0)
+        return variance, found.residual
 
     def power(self, X: Array, n_jobs: int | None = None) -> Array:
-        """Evaluate the power function."""
-        parts = [self.variance(X[rows]) for rows in gen_batches(len(X), POWER_ROWS)]
+        """Evaluate the power function.
+
+        Warns
+        -----
+        ConvergenceWarning
+            If it is too large, for want of iterations.
+        """
+        batches = gen_batches(len(X), POWER_ROWS)
+        parts, residuals = zip(
+            *(self.variance(X[rows]) for rows in batches), strict=True
+        )
+        if not max(residuals) <= self.solver.tol:
+            warnings.warn(
+                "The power function is too large, by the square of a relative residual "
+                f"of up to {max(residuals):.1e}, above tol={self.solver.tol:.1e}: "
+                "conjugate gradients did not converge for all states. Raise max_iter, "
+                "rank, n_neighbors or tol of the solver.",
+                ConvergenceWarning,
+                stacklevel=3,
+            )
         return np.sqrt(np.concatenate(parts))
 
     def trend(self, values: Array) -> Array:
@@ -191,6 +220,14 @@ class ImplicitBasis:
         if self.tail is None:
             return np.empty((0, values.shape[1]))
         return self.tail.seen @ (self.Q.T @ values)
+
+
+def _root_of_product(v: Array, w: Array) -> Array:
+    """Return the root of v^T w for every column, whatever the unit of both."""
+    a, b = (np.abs(x).max(axis=0, initial=0.0) for x in (v, w))
+    a[a == 0], b[b == 0] = 1.0, 1.0
+    inner = np.einsum("ij,ij->j", v / a, w / b)
+    return np.sqrt(np.maximum(inner, 0.0)) * np.sqrt(a) * np.sqrt(b)
 
 
 def _check(found: Converged) -> None:
@@ -235,7 +272,7 @@ def interpolate(
     if basis.tail is not None:
         trend = basis.trend(u - basis.product(dual))
     # c^T K c, since c is orthogonal to the polynomials.
-    seminorm = np.sqrt(np.maximum(np.einsum("ij,ij->j", dual, u), 0.0))
+    seminorm = _root_of_product(dual, u)
     kept = np.arange(len(dual))
     return Solution(basis, kept, dual, trend, seminorm, len(dual), 0.0), found
 
@@ -282,11 +319,8 @@ def regress(
             return kT @ v
         return _transposed_product(sections, X, v)
 
-    def project(v: Array) -> Array:
-        return v - T @ (T.T @ v)
-
     def normal(c: Array) -> Array:
-        return backward(project(forward(c))) + alpha * basis.product(c)
+        return backward(complement(T, forward(c))) + alpha * basis.product(c)
 
     W = basis.W
     if W is None:
@@ -306,7 +340,7 @@ def regress(
     # random vectors v, v^T H v (Hutchinson 1989).
     random = check_random_state(basis.solver.random_state)
     signs = random.choice([-1.0, 1.0], size=(n, PROBES if alpha > 0 else 0))
-    b = backward(project(np.hstack([y, signs])))
+    b = backward(beyond_rounding(np.hstack([y, signs]), T))
     found = conjugate_gradients(
         normal,
         b,
@@ -326,8 +360,7 @@ def regress(
         probes = slice(y.shape[1], None)
         fitted = np.einsum("ij,ij->", b[:, probes], found.x[:, probes]) / PROBES
     freedom = fitted + T.shape[1]
-    energy = np.einsum("ij,ij->j", dual, basis.product(dual))
-    seminorm = np.sqrt(np.maximum(energy, 0.0))
+    seminorm = _root_of_product(dual, basis.product(dual))
     solution = Solution(basis, np.arange(M), dual, trend, seminorm, freedom, 0.0)
     return solution, found
 

@@ -219,7 +219,11 @@ def normal_equations(
     if n_workers == 1 or len(X) * len(upper) ** 2 < PARALLEL_WORK:
         equations.add(basis, X, y)
         return equations
-    parts = Parallel(n_jobs=n_jobs, return_as="generator")(
+    try:
+        parallel = Parallel(n_jobs=n_jobs, return_as="generator")
+    except ValueError:  # not every backend returns its results one by one
+        parallel = Parallel(n_jobs=n_jobs)
+    parts = parallel(
         delayed(_share)(basis, X[rows], y(rows))
         for rows in gen_batches(len(X), -(-len(X) // n_workers))
     )

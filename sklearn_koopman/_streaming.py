@@ -259,7 +259,7 @@ class GrowingRegression:
         F = np.empty_like(basis.lower)
         z, b, freedom = self.equations.solve(basis, alpha, F)
         residual = self.equations.residual_norms(z, b)
-        solution = fitted(basis, self.kept, X, z, b, freedom)
+        solution = fitted(basis, np.arange(len(z)), X, z, b, freedom)
         if solution.error > ACCURACY:
             raise np.linalg.LinAlgError(
                 f"the solution misses its values by {solution.error:.1e}"

@@ -159,6 +159,7 @@ default="auto"
 
     See Also
     --------
+    KoopmanKernelRegressorCV : Chooses kernel, `beta` and `alpha` by cross-validation.
     SeparatedCenterSelector : Chooses centres along trajectories.
     sklearn_koopman.trajectories.trajectory_pairs : Makes `X` and `y` of trajectories.
     sklearn.gaussian_process.GaussianProcessRegressor : Fits the scale of the kernel

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from sklearn.base import BaseEstimator
+from sklearn.utils import check_random_state
 
 from sklearn_koopman._validation import check_integer, check_number
 
@@ -115,10 +116,21 @@ def check_solver(solver: ConjugateGradient) -> None:
         The solver.
     """
     check_number(solver.tol, "solver.tol", positive=True)
+    if solver.tol >= 1:
+        raise ValueError(
+            f"solver.tol is relative and must be below 1, got {solver.tol!r}."
+        )
     check_integer(solver.max_iter, "solver.max_iter", 1)
     check_integer(solver.rank, "solver.rank", 1)
     if solver.n_neighbors is not None:
         check_integer(solver.n_neighbors, "solver.n_neighbors", 1)
+    try:
+        check_random_state(solver.random_state)
+    except ValueError as error:
+        raise ValueError(
+            "solver.random_state must be None, an integer from 0 to 2**32 - 1 or a "
+            f"RandomState instance, got {solver.random_state!r}."
+        ) from error
     if solver.preconditioner not in PRECONDITIONERS:
         raise ValueError(
             f"solver.preconditioner must be one of "
