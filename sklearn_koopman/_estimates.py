@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -17,8 +19,10 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn_koopman import _large, _solvers
 from sklearn_koopman._iterative import Converged
 from sklearn_koopman._native import NativeBasis, Tail
+from sklearn_koopman._normal import too_few_rows
 from sklearn_koopman._sections import KernelSections, Sections
 from sklearn_koopman._solvers import Solution
+from sklearn_koopman._streaming import GrowingRegression
 from sklearn_koopman.solvers import ConjugateGradient
 
 Array = NDArray[np.float64]
@@ -98,11 +102,7 @@ def regressed(
 ) -> Estimate:
     """Fit y on all rows by least squares; raises and warns as `interpolated`."""
     if alpha == 0 and len(X) < len(points):
-        raise ValueError(
-            f"method='least_squares' with alpha=0 needs at least as many rows as "
-            f"centres, got {len(X)} rows and {len(points)} centres; set alpha > 0 or "
-            "choose fewer centres."
-        )
+        raise too_few_rows(len(X), len(points))
     solver = _chosen(solver, sections, points)
     nugget = np.zeros(len(points))
     with _explained(sections.kernel, len(points)):
@@ -125,20 +125,52 @@ def regressed(
     return Estimate(found, solver, None)
 
 
-def independent(
+def accumulated(
     sections: Sections,
     points: Array,
+    batches: list[tuple[Array, Array]],
+    alpha: float,
     degree: int | None,
-    rows: Array,
     solver: str,
-) -> tuple[NativeBasis, Indices]:
-    """Return the native basis of the centres, and which of them carry it."""
+) -> tuple[GrowingRegression, Solution[NativeBasis], Array]:
+    """Fit all batches by least squares, so that more can be added.
+
+    Returns
+    -------
+    growth : GrowingRegression
+        The sums.
+    solution : Solution
+        The estimate.
+    residual : ndarray of shape (n_outputs,)
+        The norms of its residuals.
+    """
+    X = np.vstack([rows for rows, _ in batches])
+    if alpha == 0 and len(X) < len(points):
+        raise too_few_rows(len(X), len(points))
+    results: list[tuple[GrowingRegression, Array]] = []
+
+    def rule(basis: NativeBasis, kept: Indices) -> Solution[NativeBasis]:
+        growth = GrowingRegression.of(basis, kept, batches[0][1].shape[1])
+        for batch in batches:
+            growth.add(*batch)
+        solution, residual = growth.solution(alpha, X)
+        results.append((growth, residual))
+        return solution
+
     with _explained(sections.kernel, len(points)):
-        basis, kept = _solvers.independent_basis(
-            sections, points, degree, rows, drop_dependent=solver != "cholesky"
+        solution, tolerance = _solvers.solve(
+            sections,
+            points,
+            np.zeros(len(points)),
+            rule,
+            degree,
+            X,
+            drop_dependent=solver != "cholesky",
         )
-    _warn_left_out(sections.kernel, len(points), len(kept))
-    return basis, kept
+    growth, residual = results[-1]
+    if tolerance > negligible_tolerance(len(X), alpha):
+        _warn_left_out(sections.kernel, len(points), len(growth.kept))
+    return growth, solution, residual
 
 
 def negligible_tolerance(n_rows: int, alpha: float) -> float:
@@ -192,6 +224,15 @@ def _explained(kernel: Any, n_centers: int) -> Iterator[None]:
         ) from error
 
 
+def _frames_in_here() -> int:
+    """Return the stacklevel of the line that called this package."""
+    frame: FrameType | None = sys._getframe()
+    level = 0
+    while frame is not None and frame.f_globals["__name__"].startswith(__package__):
+        frame, level = frame.f_back, level + 1
+    return level
+
+
 def _warn_left_out(kernel: Any, n_centers: int, n_kept: int) -> None:
     """Warn that centres were left out, if any were."""
     if n_kept < n_centers:
@@ -200,7 +241,7 @@ def _warn_left_out(kernel: Any, n_centers: int, n_kept: int) -> None:
             f"numerically singular; {n_centers - n_kept} centres that depend on "
             f"the others were left out. {REMEDY}",
             LinAlgWarning,
-            stacklevel=4,
+            stacklevel=_frames_in_here(),
         )
 
 
@@ -214,5 +255,5 @@ def _warn_not_converged(
             f"{found.residual:.1e}, above tol={solver.tol:.1e}. Raise max_iter, rank, "
             f"n_neighbors or tol of the solver. {REMEDY}",
             ConvergenceWarning,
-            stacklevel=4,
+            stacklevel=_frames_in_here(),
         )

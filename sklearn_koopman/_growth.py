@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from copy import copy
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -13,11 +14,11 @@ from sklearn.utils import check_X_y
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import validate_data
 
-from sklearn_koopman._estimates import REMEDY, independent, interpolated
+from sklearn_koopman._estimates import REMEDY, accumulated, interpolated
 from sklearn_koopman._native import NativeBasis
 from sklearn_koopman._sections import KernelSections
-from sklearn_koopman._solvers import Solution
-from sklearn_koopman._streaming import GrowingInterpolant, GrowingRegression, Values
+from sklearn_koopman._solvers import Solution, evaluate
+from sklearn_koopman._streaming import GrowingFactor, GrowingInterpolant, Values
 from sklearn_koopman.centers import SeparatedCenterSelector, choose_centers
 from sklearn_koopman.kernels import as_kernel
 from sklearn_koopman.solvers import ConjugateGradient
@@ -53,10 +54,24 @@ def _check_growth(model: GrowthMixin) -> bool:
     if averages and centers is not None and started and not hasattr(model, "_growth"):
         raise ValueError(
             "partial_fit of least squares at chosen centres continues from the sums "
-            "of earlier batches, which neither fit nor a pickle keeps; call "
+            "of earlier batches, which neither fit nor a copy or pickle keeps; call "
             "partial_fit from the first batch on."
         )
     return True
+
+
+def _equal(a: Any, b: Any) -> bool:
+    """Tell whether parameters are equal, to the last digit."""
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, list | tuple):
+        return len(a) == len(b) and all(map(_equal, a, b))
+    if isinstance(a, np.ndarray):
+        return np.array_equal(a, b)
+    if hasattr(a, "get_params") and not isinstance(a, type):
+        a, b = a.get_params(deep=False), b.get_params(deep=False)
+        return all(_equal(a[name], b[name]) for name in a)
+    return bool(a == b)
 
 
 class GrowthMixin:
@@ -77,7 +92,7 @@ class GrowthMixin:
     _interpolates: bool
     _nugget: Array
     _n_seen: int
-    _settings: tuple[Any, ...]
+    _settings: list[Any]
     _values: Values
 
     @available_if(_check_growth)
@@ -109,8 +124,8 @@ class GrowthMixin:
             were changed since. Nothing is learned from the batch then.
         AttributeError
             For centres and solvers that cannot grow, such as conjugate gradients; for
-            least squares at chosen centres after `fit` or after loading from a pickle,
-            neither of which keeps its sums.
+            least squares at chosen centres after `fit`, or in a copy or after loading
+            from a pickle, none of which keeps its sums.
 
         Notes
         -----
@@ -121,8 +136,9 @@ class GrowthMixin:
 
         After centres have been added, `rcond_` is an upper bound by the pivots of the
         factor. Where they come close to being dependent, all are factored anew, and
-        left out as in `fit`. `noise_` of least squares is a difference of sums, and not
-        told where it is below about 1e-8 of the outputs.
+        left out as in `fit`; which ones then depends on the order, and the estimate is
+        that of `fit` only as far as such matrices tell. `noise_` of least squares is a
+        difference of sums, and not told where it is below about 1e-8 of the outputs.
         """
         started = hasattr(self, "dual_coef_")
         given = X
@@ -134,7 +150,7 @@ class GrowthMixin:
         y = np.asarray(y, dtype=np.float64)
         self._check_parameters()
         if started:
-            if self._settings != self._current_settings():
+            if not _equal(self._settings, self._current_settings()):
                 raise ValueError(
                     "Parameters were changed since the first batch; set them back, or "
                     "call fit to start anew."
@@ -151,14 +167,19 @@ class GrowthMixin:
             else:
                 self.fit(given, y)
             return self
-        self._add_rows(X, y)
-        if not started:
-            validate_data(self, given, y, skip_check_array=True)
+        self._add_rows(given, X, y, started)
         return self
 
-    def _current_settings(self) -> tuple[Any, ...]:
+    def _current_settings(self) -> list[Any]:
+        """Return copies of the parameters that an estimate depends on."""
+        centers = self.centers
+        if hasattr(centers, "fit"):
+            centers = clone(centers)
+        elif centers is not None and not isinstance(centers, str):
+            centers = np.array(centers)
         kernel = as_kernel(self.kernel, self.beta, None)
-        return repr(kernel), self.method, self.alpha, self.trend
+        solver = None if isinstance(self.solver, ConjugateGradient) else self.solver
+        return [kernel, centers, self.method, self.alpha, self.trend, solver]
 
     def _add_centers(self, X: Array, y: Array) -> None:
         """Extend an interpolant by the rows that become centres."""
@@ -189,12 +210,13 @@ class GrowthMixin:
                 self.n_jobs,
                 self._negligible(len(X)),
             ).solution
+        values = self._kept_values(values, solution, points)
         residual = None
         if self.method == "least_squares" and not nugget.any():
             residual = np.sqrt(values.scatter)
         n_seen, shape = self._n_seen + len(X), self.dual_coef_.shape[1:]
         self._store(solution, numbers[rows], nugget, shape, n_seen, residual)
-        self._values = values.take(solution.kept)
+        self._values = values
         if selector is not None:
             self._selector = selector
 
@@ -209,6 +231,9 @@ class GrowthMixin:
         if not isinstance(growth, GrowingInterpolant):
             basis = self._native_basis()
             growth = GrowingInterpolant.of(basis, self.centers_, self._values.means)
+        # A copy, without its arrays: nothing is to be changed if this fails.
+        factor = GrowingFactor(list(growth.factor.blocks))
+        growth = replace(growth, factor=factor)
         if len(u) > M:
             growth.extend(sections, sections.centers[M:], nugget[M:], u[M:])
         if not np.array_equal(u[:M], self._values.means):
@@ -225,42 +250,60 @@ class GrowthMixin:
         n_seen, n_known = 0, 0
         if hasattr(selector, "center_indices_"):
             n_seen, n_known = selector.n_samples_seen_, len(selector.center_indices_)
-        selector = copy(selector).partial_fit(X)
+        grown = copy(selector)
+        vars(grown).update(vars(selector))  # with what a copy leaves out
+        selector = grown.partial_fit(X)
         return selector, selector.center_indices_[n_known:] - n_seen
 
-    def _add_rows(self, X: Array, y: Array) -> None:
+    def _kept_values(
+        self, values: Values, solution: Solution[Any], points: Array
+    ) -> Values:
+        """Return the values at the centres kept; the scatter takes in the others."""
+        kept = values.take(solution.kept)
+        left_out = np.setdiff1d(np.arange(len(points)), solution.kept)
+        if not len(left_out):
+            return kept
+        basis = solution.basis
+        there = evaluate(
+            basis.sections, basis.tail, points[left_out], solution.dual, solution.trend
+        )
+        missed = values.counts[left_out] @ (values.means[left_out] - there) ** 2
+        return replace(kept, scatter=kept.scatter + missed)
+
+    def _add_rows(self, given: Any, X: Array, y: Array, started: bool) -> None:
         """Add rows to least squares at chosen centres."""
         outputs = y.reshape(len(y), -1)
-        growth, selector, rows = getattr(self, "_growth", None), None, None
-        batches = [(X, outputs)]
+        growth, selector = getattr(self, "_growth", None), None
+        rows, batches = None, [(X, outputs)]
         if isinstance(self.centers, SeparatedCenterSelector):
             selector, new = self._grown_selector(X)
             # Copies: the next batch may come in the same memory.
             batches = [*getattr(self, "_batches", []), (X.copy(), outputs.copy())]
-            rows = selector.center_indices_
-            points = selector.cluster_centers_
+            rows, points = selector.center_indices_, selector.cluster_centers_
             if len(new):
                 growth = None
+        elif growth is None:
+            points, _ = choose_centers(self.centers, X, y, among_rows=False)
         if growth is None:
-            if selector is None:
-                points, _ = choose_centers(self.centers, X, y, among_rows=False)
             kernel = as_kernel(self.kernel, self.beta, X.shape[1])
-            basis, kept = independent(
+            growth, solution, residual = accumulated(
                 KernelSections(kernel, points),
                 points,
+                batches,
+                self.alpha,
                 DEGREES[self.trend],
-                X,
                 str(self.solver),
             )
-            growth = GrowingRegression.of(basis, kept, outputs.shape[1])
-            for batch in batches:
-                growth.add(*batch)
         else:
-            growth.add(X, outputs)
-        try:
-            solution, residual = growth.solution(self.alpha, X)
-        except np.linalg.LinAlgError as error:
-            raise ValueError(f"No estimate: {error}. {REMEDY}") from error
+            try:
+                solution, residual = growth.learn(X, outputs, self.alpha)
+            except np.linalg.LinAlgError as error:
+                raise ValueError(
+                    f"No estimate with these rows: {error}. {REMEDY}"
+                ) from error
+        # Attributes are set last: a batch that fails is not counted.
+        if not started:
+            validate_data(self, given, y, skip_check_array=True)
         if rows is not None:
             rows = rows[growth.kept]
         nugget = np.zeros(len(solution.dual))

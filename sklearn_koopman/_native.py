@@ -52,7 +52,7 @@ class Tail:
         scale = np.max(
             [
                 np.abs(rows[batch] - origin).max(axis=0)
-                for batch in gen_batches(len(rows), 2**20)
+                for batch in gen_batches(len(rows), 2**13)
             ],
             axis=0,
         )
@@ -211,4 +211,4 @@ def solve_triangular(
 
 def block_rows(n_centers: int) -> int:
     """Return how many rows to take at once: a triangular solve reads all the factor."""
-    return max(2**18 // n_centers, n_centers // 16, 1)
+    return min(max(2**18 // n_centers, n_centers // 16, 1), 2**13)

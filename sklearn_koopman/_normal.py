@@ -12,6 +12,7 @@ of which z is eliminated. Their sums over rows can be extended and added up.
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,6 +73,16 @@ class NormalEquations:
             np.zeros(n_outputs),
             0.0,
         )
+
+    def copy(self) -> NormalEquations:
+        """Return a copy that shares nothing."""
+        return deepcopy(self)
+
+    def widen(self, n_terms: int) -> None:
+        """Take in polynomials that were zero on all rows."""
+        self.AT = np.pad(self.AT, ((0, 0), (0, n_terms)))
+        self.Ty = np.pad(self.Ty, ((0, n_terms), (0, 0)))
+        self.TT = np.pad(self.TT, (0, n_terms))
 
     def add(self, basis: NativeBasis, X: Array, y: Outputs) -> None:
         """Add rows."""
@@ -189,6 +200,15 @@ class NormalEquations:
         rest = 2 * (self.Ty - self.AT.T @ z) - self.TT @ b
         squared -= np.einsum("ij,ij->j", b, rest)
         return np.sqrt(np.maximum(squared, 0.0))
+
+
+def too_few_rows(n_rows: int, n_centers: int) -> ValueError:
+    """Return the error of least squares without a penalty on so few rows."""
+    return ValueError(
+        f"method='least_squares' with alpha=0 needs at least as many rows as centres, "
+        f"got {n_rows} rows and {n_centers} centres; set alpha > 0 or choose fewer "
+        "centres."
+    )
 
 
 def least_squares(

@@ -146,27 +146,6 @@ def solve(
         kept = independent_centers(sections, points, nugget, tolerance)
 
 
-def independent_basis(
-    sections: Sections,
-    points: Array,
-    degree: int | None,
-    rows: Array,
-    *,
-    drop_dependent: bool,
-) -> tuple[NativeBasis, Indices]:
-    """Return the native basis of centres that do not depend on others, and which."""
-
-    def accept(basis: NativeBasis, kept: Indices) -> Solution[NativeBasis]:
-        nothing = np.empty((0, 0))
-        return Solution(basis, kept, nothing, nothing, nothing, 0.0, 0.0)
-
-    nugget = np.zeros(len(points))
-    solution, _ = solve(
-        sections, points, nugget, accept, degree, rows, drop_dependent=drop_dependent
-    )
-    return solution.basis, solution.kept
-
-
 def independent_centers(
     sections: Sections, points: Array, nugget: Array, tolerance: float
 ) -> Indices:
@@ -217,7 +196,7 @@ def residual_norms(
 ) -> Array:
     """Return the norms of the residuals of every output, many rows at a time."""
     basis, norms = solution.basis, np.zeros(y.shape[1])
-    for rows in gen_batches(len(X), 2**20):
+    for rows in gen_batches(len(X), 2**13):
         fitted = evaluate(
             basis.sections, basis.tail, X[rows], solution.dual, solution.trend, n_jobs
         )

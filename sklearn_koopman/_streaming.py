@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dpotrf
 
 from sklearn_koopman._native import SINGULAR, NativeBasis, Tail, solve_triangular
-from sklearn_koopman._normal import SUSPECT, NormalEquations
+from sklearn_koopman._normal import SUSPECT, NormalEquations, too_few_rows
 from sklearn_koopman._sections import Sections, gram_matrix, matrix
 from sklearn_koopman._solvers import (
     ACCURACY,
@@ -244,8 +244,37 @@ class GrowingRegression:
 
     def add(self, X: Array, y: Array) -> None:
         """Add rows."""
+        tail = self.basis.tail
+        if tail is not None and len(tail.seen) > 1:
+            self._widen(tail, X)
         self.equations.add(self.basis, X, y.__getitem__)
         self.n_rows += len(X)
+
+    def _widen(self, tail: Tail, X: Array) -> None:
+        """Give features that have been constant until now their polynomials."""
+        known = np.hstack([tail.seen, tail.unseen])[1:]
+        away = np.abs(X - tail.origin).max(axis=0)
+        new = ~known.any(axis=1) & (away > 1e-13 * np.abs(tail.origin))
+        if new.any():
+            added = np.zeros((len(tail.seen), int(new.sum())))
+            added[1 + np.flatnonzero(new), np.arange(new.sum())] = 1 / away[new]
+            tail = replace(tail, unseen=np.hstack([tail.unseen, added]))
+            self.basis = replace(self.basis, tail=tail)
+            self.equations.widen(int(new.sum()))
+
+    def learn(
+        self, X: Array, y: Array, alpha: float
+    ) -> tuple[Solution[NativeBasis], Array]:
+        """Add rows and return `solution`; if there is none, the rows do not count."""
+        basis, n_rows, before = self.basis, self.n_rows, self.equations.copy()
+        try:
+            self.add(X, y)
+            return self.solution(alpha, X)
+        except ValueError:
+            np.copyto(self.equations.upper, before.upper)
+            before.upper = self.equations.upper
+            self.basis, self.n_rows, self.equations = basis, n_rows, before
+            raise
 
     def solution(self, alpha: float, X: Array) -> tuple[Solution[NativeBasis], Array]:
         """Return the estimate, verified on these rows, and the norms of its residuals.
@@ -256,6 +285,8 @@ class GrowingRegression:
             If rounding leaves too few digits.
         """
         basis = self.basis
+        if alpha == 0 and self.n_rows < len(basis.lower):
+            raise too_few_rows(self.n_rows, len(basis.lower))
         F = np.empty_like(basis.lower)
         z, b, freedom = self.equations.solve(basis, alpha, F)
         residual = self.equations.residual_norms(z, b)

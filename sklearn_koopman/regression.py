@@ -332,8 +332,8 @@ default="auto"
             self.n_iter_ = estimate.converged.n_iter
             self.residual_ = estimate.converged.residual
         self._interpolates = interpolates
-        if interpolates:
-            self._values = values.take(solution.kept)
+        if interpolates and isinstance(sections, KernelSections):
+            self._values = self._kept_values(values, solution, points)
         return self
 
     def predict(self, X: Any, return_std: bool = False) -> Array | tuple[Array, Array]:

@@ -1,0 +1,1181 @@
+"""Estimates that learn batch by batch, and sums over rows that workers share."""
+
+import copy
+import pickle
+import tracemalloc
+import warnings
+
+import joblib
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from joblib.parallel import BACKENDS, ThreadingBackend
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.linalg import LinAlgWarning, null_space, solve_triangular
+from sklearn.base import clone
+from sklearn.cluster import KMeans
+from sklearn.exceptions import NotFittedError
+from sklearn.frozen import FrozenEstimator
+from sklearn.gaussian_process.kernels import (
+    RBF,
+    ConstantKernel,
+    DotProduct,
+    WhiteKernel,
+)
+
+from sklearn_koopman import (
+    KoopmanKernelRegressor,
+    SeparatedCenterSelector,
+    _normal,
+    _streaming,
+)
+from sklearn_koopman._native import NativeBasis, Tail
+from sklearn_koopman._normal import NormalEquations, least_squares
+from sklearn_koopman._sections import KernelSections
+from sklearn_koopman.kernels import Gaussian, MaternSobolev, Wendland
+from sklearn_koopman.solvers import ConjugateGradient
+
+TRENDS = [None, "constant", "linear"]
+GIVEN = np.random.default_rng(5).uniform(size=(12, 2))
+FIRST = 30  # rows that are enough to fit twelve centres with
+
+# Settings, and whether outputs of equal rows may differ.
+SETTINGS = {
+    "exact": ({}, False),
+    "penalised": ({"alpha": 0.1}, True),
+    "all rows": ({"method": "least_squares"}, True),
+    "all rows, penalised": ({"method": "least_squares", "alpha": 0.3}, True),
+    "chosen": ({"centers": SeparatedCenterSelector(0.15)}, True),
+    "chosen, penalised": (
+        {"centers": SeparatedCenterSelector(0.1), "alpha": 0.2},
+        True,
+    ),
+    "few chosen": ({"centers": SeparatedCenterSelector(0.1, max_centers=20)}, True),
+    "fitted": ({"centers": GIVEN, "method": "least_squares"}, True),
+    "fitted, penalised": (
+        {"centers": GIVEN, "method": "least_squares", "alpha": 0.1},
+        True,
+    ),
+    "fitted, chosen": (
+        {"centers": SeparatedCenterSelector(0.25), "method": "least_squares"},
+        True,
+    ),
+    "fitted, chosen, penalised": (
+        {
+            "centers": SeparatedCenterSelector(0.2),
+            "method": "least_squares",
+            "alpha": 0.1,
+        },
+        True,
+    ),
+    "noise in the kernel": (
+        {"kernel": 1.5 * RBF(0.3) + WhiteKernel(0.05), "alpha": 0.01},
+        True,
+    ),
+    "foreign kernel": (
+        {
+            "kernel": ConstantKernel(2.0) * RBF([0.3, 0.5]) + WhiteKernel(0.01),
+            "centers": SeparatedCenterSelector(0.15),
+        },
+        True,
+    ),
+    "compact": ({"kernel": "wendland_c2", "beta": 0.6}, False),
+    "strict": ({"solver": "cholesky", "beta": 0.5}, False),
+}
+
+
+def samples(n=110, repeats=True, noise=True, n_outputs=2):
+    """Rows, of which some are equal to others, and their outputs."""
+    rng = np.random.default_rng(n)
+    X = rng.uniform(size=(n, 2))
+    if repeats:
+        again = rng.integers(0, n, size=n // 6)
+        X[rng.integers(0, n, size=n // 6)] = X[again]
+    y = np.column_stack([np.sin(4 * X[:, 0]) + X[:, 1], 3 - X[:, 0] * X[:, 1]])
+    if noise:
+        y += 0.1 * rng.normal(size=y.shape)
+    return X, y[:, 0] if n_outputs is None else y[:, :n_outputs]
+
+
+def grown(model, X, y, cuts):
+    for rows, outputs in zip(np.split(X, cuts), np.split(y, cuts), strict=True):
+        assert model.partial_fit(rows, outputs) is model
+    return model
+
+
+def assert_same(model, expected, X, rtol=1e-8):
+    """Compare all that an estimate states."""
+    y, std = expected.predict(X, return_std=True)
+    size = abs(y).max()
+    got, got_std = model.predict(X, return_std=True)
+    assert got.shape == y.shape
+    assert_allclose(got, y, rtol=0, atol=rtol * size)
+    # noise_ of least squares is a difference of sums.
+    limit = 1e-9 * np.max(expected.amplitude_) ** 2 + 1e-15 * size**2
+    assert_allclose(got_std**2, std**2, rtol=1e-6, atol=limit)
+    assert_allclose(model.noise_, expected.noise_, rtol=1e-6, atol=3e-8 * size)
+    assert_allclose(model.amplitude_, expected.amplitude_, rtol=1e-7)
+    assert np.shape(model.amplitude_) == np.shape(expected.amplitude_)
+    assert_allclose(
+        model.dual_coef_,
+        expected.dual_coef_,
+        rtol=0,
+        atol=rtol * abs(expected.dual_coef_).max(),
+    )
+    assert_array_equal(model.centers_, expected.centers_)
+    if expected.center_indices_ is None:
+        assert model.center_indices_ is None
+    else:
+        assert_array_equal(model.center_indices_, expected.center_indices_)
+    assert hasattr(model, "trend_coef_") == hasattr(expected, "trend_coef_")
+    if hasattr(expected, "trend_coef_"):
+        assert_allclose(
+            model.trend_coef_, expected.trend_coef_, rtol=0, atol=10 * rtol * size
+        )
+    power = expected.power_function(X)
+    assert_allclose(model.power_function(X) ** 2, power**2, atol=1e-9)
+    assert model.solver_ == expected.solver_
+    assert model.n_features_in_ == expected.n_features_in_
+    assert repr(model.kernel_) == repr(expected.kernel_)
+
+
+def assert_hidden(model, X, y, message):
+    """Where an estimate cannot grow it has no partial_fit, and says why."""
+    assert not hasattr(model, "partial_fit")
+    with pytest.raises(AttributeError, match="has no attribute 'partial_fit'") as error:
+        model.partial_fit(X, y)
+    assert message in str(error.value.__cause__)
+
+
+def monomials(X, trend, origin):
+    columns = {None: 0, "constant": 1, "linear": 1 + X.shape[1]}[trend]
+    return np.column_stack([np.ones(len(X)), X - origin])[:, :columns]
+
+
+def dense_interpolant(K, P, y, nugget):
+    """Solve the saddle point problem as it is printed in books."""
+    n, q = P.shape
+    matrix = np.block([[K + np.diag(nugget), P], [P.T, np.zeros((q, q))]])
+    solved = np.linalg.solve(matrix, np.vstack([y, np.zeros((q, y.shape[1]))]))
+    return solved[:n], solved[n:]
+
+
+def dense_regression(K, PC, A, P, alpha):
+    """Return the map from outputs to coefficients, sections' first.
+
+    It minimises |y - A c - P b|^2 + alpha c^T K c subject to PC^T c = 0.
+    """
+    Z = null_space(PC.T) if PC.shape[1] else np.eye(len(K))
+    root = np.linalg.cholesky(Z.T @ K @ Z).T
+    design = np.hstack([A @ Z, P])
+    penalty = np.hstack([np.sqrt(alpha) * root, np.zeros((len(root), P.shape[1]))])
+    inverse = np.linalg.pinv(np.vstack([design, penalty]), rcond=1e-14)[:, : len(A)]
+    return np.vstack([Z @ inverse[: Z.shape[1]], inverse[Z.shape[1] :]])
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+@pytest.mark.parametrize(
+    ("trend", "n_outputs"),
+    [(None, None), ("constant", None), ("linear", 1), ("linear", 2)],
+)
+def test_batches_equal_one_fit(name, trend, n_outputs):
+    parameters, noise = SETTINGS[name]
+    X, y = samples(noise=noise, n_outputs=n_outputs)
+    model = KoopmanKernelRegressor(trend=trend).set_params(**parameters)
+    # A batch of one row, one that brings nothing new, and a long one.
+    X, y = np.vstack([X, X[:7]]), np.concatenate([y, y[:7]])
+    expected = clone(model).fit(X, y)
+    cuts = [FIRST, FIRST + 1, 60, 110]
+    assert_same(grown(model, X, y, cuts), expected, np.vstack([X, X + 0.03]))
+
+
+@settings(max_examples=8, deadline=None)
+@given(data=st.data())
+@pytest.mark.parametrize("name", SETTINGS)
+def test_any_division_equals_one_fit(name, data):
+    parameters, noise = SETTINGS[name]
+    X, y = samples(80, noise=noise)
+    fitted = parameters.get("method") == "least_squares" and name.startswith("fitted")
+    least = FIRST if fitted else 1
+    cuts = sorted(data.draw(st.sets(st.integers(least, 79), max_size=12), "cuts"))
+    trend = data.draw(st.sampled_from(TRENDS), "trend")
+    model = KoopmanKernelRegressor(trend=trend).set_params(**parameters)
+    expected = clone(model).fit(X, y)
+    assert_same(grown(model, X, y, cuts), expected, X)
+
+
+@pytest.mark.parametrize("trend", TRENDS)
+@pytest.mark.parametrize("alpha", [0.0, 0.2])
+def test_grown_interpolant_solves_the_printed_system(trend, alpha):
+    X, y = samples(60, repeats=False)
+    model = KoopmanKernelRegressor(beta=0.5, alpha=alpha, trend=trend)
+    grown(model, X, y, [1, 2, 10, 35])
+    K = MaternSobolev(0.5, 1.5)(X)
+    P = monomials(X, trend, X.mean(axis=0))
+    c, b = dense_interpolant(K, P, y, np.full(60, alpha))
+    assert_allclose(model.dual_coef_, c, rtol=1e-8, atol=1e-8)
+    if trend is not None:
+        assert_allclose(model.trend_coef_, b, rtol=1e-8, atol=1e-9)
+    amplitude = np.sqrt(np.einsum("ij,ij->j", y, c) / (60 - P.shape[1]))
+    assert_allclose(model.amplitude_, amplitude, rtol=1e-9)
+    assert_allclose(model.noise_, amplitude * np.sqrt(alpha), rtol=1e-9)
+    # The power function, by the same system for every row.
+    T = X[:20] + 0.02
+    k, p = MaternSobolev(0.5, 1.5)(X, T), monomials(T, trend, X.mean(axis=0)).T
+    matrix = np.block(
+        [[K + alpha * np.eye(60), P], [P.T, np.zeros((P.shape[1], P.shape[1]))]]
+    )
+    right = np.vstack([k, p])
+    squared = 1 - np.einsum("ij,ij->j", right, np.linalg.solve(matrix, right))
+    assert_allclose(model.power_function(T) ** 2, squared, atol=1e-10)
+
+
+@pytest.mark.parametrize("trend", TRENDS)
+@pytest.mark.parametrize("alpha", [0.0, 0.3])
+@pytest.mark.parametrize("n_centers", [12, 150])
+def test_accumulated_regression_is_the_dense_one(trend, alpha, n_centers):
+    X, y = samples(n_centers + 150)
+    centers = np.random.default_rng(1).uniform(size=(n_centers, 2))
+    model = KoopmanKernelRegressor(
+        beta=0.3, alpha=alpha, trend=trend, centers=centers, method="least_squares"
+    )
+    grown(model, X, y, [n_centers + 80, n_centers + 81])
+    kernel = MaternSobolev(0.3, 1.5)
+    origin = centers.mean(axis=0)
+    A, P = kernel(X, centers), monomials(X, trend, origin)
+    solve = dense_regression(
+        kernel(centers), monomials(centers, trend, origin), A, P, alpha
+    )
+    coefficients = solve @ y
+    hat = np.hstack([A, P]) @ solve
+    assert_allclose(model.predict(X), hat @ y, atol=1e-8)
+    c = model.dual_coef_
+    assert_allclose(c, coefficients[:n_centers], atol=1e-6 * abs(c).max())
+    if trend is not None:
+        assert_allclose(model.trend_coef_, coefficients[n_centers:], atol=1e-7)
+    squares = ((y - hat @ y) ** 2).sum(axis=0)
+    noise = np.sqrt(squares / (len(X) - np.trace(hat)))
+    assert_allclose(model.noise_, noise, rtol=1e-7)
+    norm = np.sqrt(np.einsum("ij,ij->j", c, kernel(centers) @ c))
+    degrees = n_centers - P.shape[1]
+    assert_allclose(model.amplitude_, norm / np.sqrt(degrees), rtol=1e-6)
+
+
+def test_memory_does_not_grow_with_the_rows():
+    X, y = samples(2000)
+    model = KoopmanKernelRegressor(centers=GIVEN, method="least_squares")
+    sizes = []
+    for rows in np.split(np.arange(2000), 10):
+        model.partial_fit(X[rows], y[rows])
+        sizes.append(len(pickle.dumps(vars(model))))
+    assert max(sizes) - min(sizes) < 100
+    # What is pickled is the estimate alone.
+    assert len(pickle.dumps(model)) < sizes[-1] / 2
+
+
+def test_equal_rows_count_with_their_mean_and_their_number():
+    # One state, with the outputs 1, 2 and 6; k(x, x) = 1, so c = mean / (1 + 1 / 3).
+    model = KoopmanKernelRegressor(alpha=1.0)
+    for value in (1.0, 2.0, 6.0):
+        model.partial_fit([[0.5]], [value])
+    assert_allclose(model.dual_coef_, [3 / (1 + 1 / 3)])
+    assert_array_equal(model.center_indices_, [0])
+    # Without a penalty, what they scatter by is the noise: 14 = 4 + 1 + 9 over 2.
+    model = KoopmanKernelRegressor(method="least_squares")
+    for value in (1.0, 2.0, 6.0):
+        model.partial_fit([[0.5]], [value])
+    assert_allclose(model.predict([[0.5]]), [3.0])
+    assert_allclose(model.noise_, np.sqrt(14 / 2))
+
+
+def test_equal_rows_that_contradict_each_other():
+    X, y = samples(40, repeats=False)
+    model = grown(KoopmanKernelRegressor(), X, y, [10])
+    before = model.predict(X, return_std=True)
+    again = np.vstack([[[2.0, 2.0]], X[[13]]])
+    message = "rows 13 and 41 of X are equal but their outputs differ"
+    with pytest.raises(ValueError, match=message):
+        model.partial_fit(again, np.vstack([[[0.0, 0.0]], y[[13]] + 0.1]))
+    with pytest.raises(ValueError, match=message):
+        KoopmanKernelRegressor().fit(
+            np.vstack([X, again]), np.vstack([y, [[0.0, 0.0]], y[[13]] + 0.1])
+        )
+    assert_array_equal(model.predict(X, return_std=True), before)
+    model.partial_fit(again, np.vstack([[[0.0, 0.0]], y[[13]]]))
+    assert_array_equal(model.center_indices_, np.arange(41))
+
+
+@pytest.mark.parametrize("trend", TRENDS)
+def test_hundreds_of_batches(trend):
+    X, y = samples(260, repeats=False)
+    cuts = np.arange(100, 260)
+    model = KoopmanKernelRegressor(beta=0.4, trend=trend)
+    expected = clone(model).fit(X, y)
+    assert_same(grown(model, X, y, cuts), expected, X + 0.01)
+
+
+def test_blocks_of_a_factor():
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(300, 310))
+    K = A @ A.T / 300
+    L = np.linalg.cholesky(K)
+    factor = _streaming.GrowingFactor([np.asfortranarray(L[:200, :200])])
+    # What is above the diagonal has no meaning.
+    factor.blocks[0][np.triu_indices(200, 1)] = 7e7
+    b = rng.normal(size=(300, 3))
+    blocks = []
+    for stop in range(201, 301):
+        own = slice(stop - 1, stop)
+        factor.extend(L[own, : stop - 1].T, np.asfortranarray(L[own, own]))
+        blocks.append(len(factor.blocks))
+        assert len(factor) == stop
+        given = b[:stop].copy()
+        forward = solve_triangular(L[:stop, :stop], given, lower=True)
+        assert_allclose(factor.forward(given), forward, atol=1e-10)
+        backward = solve_triangular(L[:stop, :stop], given, lower=True, trans=1)
+        assert_allclose(factor.backward(given), backward, atol=1e-8)
+        assert_array_equal(given, b[:stop])
+        assert_allclose(factor.diagonal(), np.diag(L)[:stop])
+    # Put together after a quarter more, and once more.
+    assert max(blocks) == 51
+    assert blocks[50] == 1
+    assert_allclose(np.tril(factor.join()), L, atol=1e-14)
+    assert len(factor.blocks) == 1
+    # Where the first is long, after some number of them.
+    factor = _streaming.GrowingFactor([np.eye(2000, order="F")])
+    blocks = []
+    for size in range(2000, 2100):
+        factor.extend(np.zeros((size, 1)), np.ones((1, 1)))
+        blocks.append(len(factor.blocks))
+    assert max(blocks) == _streaming.TIMES
+    assert min(blocks[1:]) == 1
+
+
+def test_growth_takes_the_factor_over(monkeypatch):
+    """A batch costs its own part of the factor only."""
+    X, y = samples(120, repeats=False)
+    model = KoopmanKernelRegressor(trend="linear").fit(X[:100], y[:100])
+    monkeypatch.setattr(NativeBasis, "of", None)
+    grown(model, X[100:], y[100:], [5, 6])
+    model.power_function(X)
+    assert_allclose(model.predict(X), y, atol=1e-8)
+
+
+def test_verification_knows_the_penalty(monkeypatch):
+    """What is verified is not what the outputs are, but what they are less alpha c."""
+    X, y = samples(120, repeats=False)
+    model = KoopmanKernelRegressor("gaussian", beta=0.5, alpha=1e-7)
+    expected = clone(model).fit(X, y)
+    model.fit(X[:100], y[:100])
+    monkeypatch.setattr(NativeBasis, "of", None)
+    grown(model, X[100:], y[100:], [5])
+    assert expected.rcond_ < 1e-8
+    assert_allclose(model.predict(X), expected.predict(X), atol=1e-5)
+
+
+@pytest.mark.parametrize("method", ["interpolation", "least_squares"])
+@pytest.mark.parametrize("trend", TRENDS)
+def test_dependent_centres_are_left_out(method, trend):
+    rng = np.random.default_rng(4)
+    X = rng.uniform(size=(120, 1))
+    y = np.sin(5 * X[:, 0])
+    model = KoopmanKernelRegressor("gaussian", beta=0.4, trend=trend, method=method)
+    with pytest.warns(LinAlgWarning, match="centres that depend on the others"):
+        grown(model, X, y, [8, 30, 31])
+    assert 8 <= len(model.centers_) < 60
+    assert_array_equal(X[model.center_indices_], model.centers_)
+    assert_allclose(model.predict(X), y, atol=2e-3)
+    assert model.rcond_ > 1e-17
+    # The standard deviation is that of an estimate anew at the centres that are left.
+    kept = clone(model).fit(model.centers_, y[model.center_indices_])
+    assert_allclose(
+        model.power_function(X) ** 2, kept.power_function(X) ** 2, atol=1e-8
+    )
+
+
+def test_suspect_growth_is_verified():
+    """Rounding makes the coefficients useless before the factorisation fails."""
+    X = np.linspace(0, 1, 60)[:, np.newaxis]
+    y = np.sin(9 * X[:, 0]) + 0.1 * np.random.default_rng(0).normal(size=60)
+    order = np.concatenate([np.arange(o, 60, 8) for o in (0, 4, 2, 6, 1, 3, 5, 7)])
+    for beta in (0.05, 0.1):
+        model = KoopmanKernelRegressor("gaussian", beta=beta)
+        for rows in np.array_split(order, 8):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", LinAlgWarning)
+                model.partial_fit(X[rows], y[rows])
+            kept = y[order[model.center_indices_]]
+            assert_allclose(model.predict(model.centers_), kept, atol=2e-6)
+
+
+def test_strict_solver_refuses_dependent_centres():
+    X = np.linspace(0, 1, 15)[:, np.newaxis]
+    model = KoopmanKernelRegressor("gaussian", beta=0.5, solver="cholesky")
+    model.partial_fit(X[::2], X[::2, 0])
+    before = model.predict(X)
+    with pytest.raises(ValueError, match="No estimate for kernel=Gaussian"):
+        model.partial_fit(X[1::2], X[1::2, 0])
+    assert_array_equal(model.predict(X), before)
+    with pytest.raises(ValueError, match="No estimate for kernel=Gaussian"):
+        KoopmanKernelRegressor(
+            "gaussian",
+            beta=2.0,
+            solver="cholesky",
+            centers=X,
+            method="least_squares",
+        ).partial_fit(X, X[:, 0])
+
+
+@pytest.mark.parametrize("method", ["interpolation", "least_squares"])
+def test_selector_forgets_a_batch_that_failed(method):
+    X = np.linspace(0, 1, 15)[:, np.newaxis]
+    model = KoopmanKernelRegressor(
+        "gaussian",
+        beta=0.5,
+        solver="cholesky",
+        method=method,
+        centers=SeparatedCenterSelector(0.01),
+    )
+    first, more = X[::2], np.array([[3.0], [5.0]])
+    expected = clone(model).fit(np.vstack([first, more]), np.vstack([first, more]))
+    model.partial_fit(first, first)
+    with pytest.raises(ValueError, match="No estimate for kernel=Gaussian"):
+        model.partial_fit(X[1::2], X[1::2])
+    model.partial_fit(more, more)
+    assert_array_equal(model.center_indices_, np.arange(10))
+    assert_allclose(model.predict(X), expected.predict(X), atol=1e-6)
+
+
+@pytest.mark.parametrize("alpha", [1e-3, 1e-2])
+@pytest.mark.parametrize("trend", TRENDS)
+def test_least_squares_leaves_out_dependent_centres(alpha, trend):
+    X, y = samples(200)
+    X = X[:, :1]
+    model = KoopmanKernelRegressor(
+        "gaussian",
+        beta=1.0,
+        centers=np.linspace(0, 1, 30)[:, np.newaxis],
+        method="least_squares",
+        alpha=alpha,
+        trend=trend,
+    )
+    expected = clone(model).fit(X, y)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LinAlgWarning)
+        grown(model, X, y, [100])
+    assert len(model.centers_) == len(model.dual_coef_) < 30
+    assert_allclose(model.predict(X), expected.predict(X), atol=1e-6)
+    assert_allclose(model.noise_, expected.noise_, rtol=1e-5)
+
+
+def test_selector_of_dependent_centres_keeps_their_rows():
+    X = np.linspace(0, 1, 60)[:, np.newaxis]
+    y = np.sin(5 * X)
+    model = KoopmanKernelRegressor(
+        "gaussian",
+        beta=1.0,
+        centers=SeparatedCenterSelector(0.03),
+        method="least_squares",
+        alpha=1e-2,
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LinAlgWarning)
+        grown(model, X, y, [20, 40])
+    assert len(model.centers_) < 25
+    assert_array_equal(model.centers_, X[model.center_indices_])
+
+
+@pytest.mark.parametrize("trend", TRENDS)
+@pytest.mark.parametrize("alpha", [0.0, 0.1])
+def test_feature_that_begins_to_vary(trend, alpha):
+    X, y = samples(60, repeats=False)
+    X[:25, 1] = 0.5
+    model = KoopmanKernelRegressor(trend=trend, alpha=alpha)
+    expected = clone(model).fit(X, y)
+    T = np.vstack([X, X + np.array([0.0, 0.4])])
+    assert_same(grown(model, X, y, [1, 20]), expected, T)
+
+
+def varying_late():
+    rng = np.random.default_rng(8)
+    X = rng.uniform(size=(80, 2))
+    X[:40, 1] = 0.5
+    return X, X[:, 0] ** 2 + 3 * X[:, 1]
+
+
+def test_feature_that_begins_to_vary_after_the_first_batch_of_least_squares():
+    X, y = varying_late()
+    centers = np.column_stack([np.linspace(0, 1, 6), np.full(6, 0.5)])
+    model = KoopmanKernelRegressor(
+        beta=0.5, centers=centers, method="least_squares", trend="linear"
+    )
+    expected = clone(model).fit(X, y)
+    assert_same(grown(model, X, y, [30]), expected, X)
+
+
+def test_feature_that_does_not_vary_in_the_batch_with_the_last_centre():
+    first = [[0, 0.5], [0.1, 0.5], [0.2, 0.5], [0.11, 0.52], [0.01, 0.48], [0.15, 0.53]]
+    X = np.array([*first, [0.3, 0.5], [0.4, 0.5], [0.31, 0.5]])
+    y = X[:, 0] ** 2 + 3 * X[:, 1]
+    model = KoopmanKernelRegressor(
+        beta=0.5,
+        centers=SeparatedCenterSelector(0.08),
+        method="least_squares",
+        trend="linear",
+    )
+    expected = clone(model).fit(X, y)
+    assert_same(grown(model, X, y, [6]), expected, X)
+
+
+def test_far_from_the_first_row():
+    X, y = samples(60, repeats=False)
+    X = np.vstack([[0.0, 0.0], 1e5 + X])
+    y = np.vstack([[0.0, 0.0], y])
+    model = KoopmanKernelRegressor(trend="linear", beta=0.5)
+    expected = clone(model).fit(X, y)
+    grown(model, X, y, [1, 5, 30])
+    assert_allclose(
+        model.predict(X[1:] + 0.1), expected.predict(X[1:] + 0.1), atol=1e-8
+    )
+
+
+@pytest.mark.parametrize(
+    "trend",
+    [
+        None,
+        "constant",
+        "linear",
+    ],
+)
+def test_too_few_rows_for_the_centres(trend):
+    X, y = samples(100, repeats=False)
+    model = KoopmanKernelRegressor(
+        centers=GIVEN, method="least_squares", trend=trend, beta=0.3
+    )
+    with pytest.raises(ValueError, match=r"method='least_squares' with alpha=0"):
+        model.partial_fit(X[:11], y[:11])
+    with pytest.raises(NotFittedError):
+        model.predict(X)
+    assert vars(model) == vars(clone(model)) | {"centers": model.centers}
+    # It did not count.
+    expected = clone(model).fit(X[11:], y[11:])
+    assert_same(grown(model, X[11:], y[11:], [50]), expected, X)
+    # With a penalty few will do.
+    model = clone(model).set_params(alpha=0.5)
+    expected = clone(model).fit(X[:11], y[:11])
+    assert_same(grown(model, X[:11], y[:11], [1, 4]), expected, X)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {},
+        {"centers": SeparatedCenterSelector(0.1)},
+        {"centers": GIVEN, "method": "least_squares"},
+        {"centers": SeparatedCenterSelector(0.2), "method": "least_squares"},
+    ],
+)
+def test_bad_batches_leave_the_estimate_as_it_was(parameters):
+    X, y = samples(90, noise=False)
+    names = pd.DataFrame(X, columns=["angle", "speed"])
+    model = KoopmanKernelRegressor(trend="linear").set_params(**parameters)
+    expected = clone(model).fit(names, y)
+    bad = [
+        (X[:0], y[:0], "0 sample"),
+        (np.where(X > 0.5, np.nan, X), y, "NaN"),
+        (X, np.where(y > 0.5, np.inf, y), "infinity"),
+        (X[:, :1], y, "1 features"),
+        (X[:, [0, 1, 0]], y, "3 features"),
+        (X, y[:, 0], "y has shape"),
+        (X, y[:, :1], "y has shape"),
+        (X, y[:5], "inconsistent numbers of samples"),
+        (names.rename(columns={"angle": "other"}), y, "feature names"),
+        (X, np.full(y.shape, "a"), None),
+    ]
+    for i, part in enumerate(np.array_split(np.arange(90), 3)):
+        model.partial_fit(names.iloc[part], y[part])
+        state = pickle.dumps(vars(model))
+        for rows, outputs, message in bad:
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "X does not have valid feature names")
+                with pytest.raises(ValueError, match=message):
+                    model.partial_fit(rows, outputs)
+        assert pickle.dumps(vars(model)) == state, i
+    assert_same(model, expected, names)
+    assert_array_equal(model.feature_names_in_, ["angle", "speed"])
+
+
+def test_bad_first_batch_leaves_nothing():
+    X, y = samples(40, noise=False)
+    for parameters in ({}, {"centers": GIVEN, "method": "least_squares"}):
+        model = KoopmanKernelRegressor(**parameters)
+        before = set(vars(model))
+        with pytest.raises(ValueError, match="NaN"):
+            model.partial_fit(np.full_like(X, np.nan), y)
+        with pytest.raises(ValueError, match="alpha must be"):
+            clone(model).set_params(alpha=-1).partial_fit(X, y)
+        assert set(vars(model)) == before
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {},
+        pytest.param({"centers": GIVEN, "method": "least_squares"}),
+    ],
+)
+def test_bad_names_of_the_first_batch_leave_nothing(parameters):
+    X, y = samples(40, noise=False)
+    model = KoopmanKernelRegressor(**parameters)
+    before = set(vars(model))
+    with pytest.raises(TypeError, match="string"):
+        model.partial_fit(pd.DataFrame(X, columns=["a", 1]), y)
+    assert set(vars(model)) == before
+
+
+@pytest.mark.parametrize("parameters", [{}, {"centers": GIVEN}])
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"alpha": 0.2},
+        {"trend": "linear"},
+        {"beta": 0.7},
+        {"kernel": "wendland_c2"},
+        {"method": "interpolation", "centers": None},
+        pytest.param({"beta": 0.5 * (1 + 1e-12)}),
+    ],
+)
+def test_changed_parameters_are_refused(parameters, change):
+    X, y = samples(60)
+    model = KoopmanKernelRegressor(
+        method="least_squares", alpha=0.1, beta=0.5
+    ).set_params(**parameters)
+    expected = clone(model).fit(X, y)
+    model.partial_fit(X[:30], y[:30])
+    before = model.get_params(deep=False)
+    model.set_params(**change)
+    with pytest.raises(ValueError, match="Parameters were changed since the first"):
+        model.partial_fit(X[30:], y[30:])
+    model.set_params(**before)
+    assert_same(model.partial_fit(X[30:], y[30:]), expected, X)
+    # fit takes them.
+    model.set_params(**change)
+    assert_same(model.fit(X, y), clone(model).fit(X, y), X)
+
+
+def test_changed_centres_are_refused():
+    X, y = samples(60)
+    model = KoopmanKernelRegressor(centers=SeparatedCenterSelector(0.1))
+    model.partial_fit(X[:30], y[:30]).set_params(centers__separation=0.3)
+    with pytest.raises(ValueError, match="Parameters were changed"):
+        model.partial_fit(X[30:], y[30:])
+    model.set_params(centers=None)
+    with pytest.raises(ValueError, match="Parameters were changed"):
+        model.partial_fit(X[30:], y[30:])
+    model = KoopmanKernelRegressor(centers=GIVEN, method="least_squares")
+    model.partial_fit(X[:30], y[:30]).set_params(centers=GIVEN[:6])
+    with pytest.raises(ValueError, match="Parameters were changed"):
+        model.partial_fit(X[30:], y[30:])
+
+
+def test_slightly_changed_foreign_kernel_is_refused():
+    X, y = samples(60)
+    model = KoopmanKernelRegressor(RBF(0.1234), alpha=0.1).partial_fit(X[:30], y[:30])
+    model.set_params(kernel__length_scale=0.12341)  # printed alike
+    with pytest.raises(ValueError, match="Parameters were changed"):
+        model.partial_fit(X[30:], y[30:])
+
+
+def test_fit_starts_anew():
+    X, y = samples(90)
+    for name, (parameters, _) in SETTINGS.items():
+        if name in ("exact", "compact", "strict"):
+            continue
+        model = KoopmanKernelRegressor(trend="linear").set_params(**parameters)
+        expected = clone(model).fit(X[40:], y[40:, 0])
+        grown(model, X[:40], y[:40], [30]).fit(X[40:], y[40:, 0])
+        assert_same(model, expected, X)
+        if name.startswith("fitted"):
+            assert_hidden(model, X, y[:, 0], "from the first batch on")
+            assert_same(model, expected, X)
+        else:
+            whole = clone(model).fit(np.vstack([X[40:], X[:40]]), np.roll(y[:, 0], 50))
+            assert_same(model.partial_fit(X[:40], y[:40, 0]), whole, X)
+
+
+@pytest.mark.parametrize("travel", [lambda m: pickle.loads(pickle.dumps(m)), copy.copy])
+@pytest.mark.parametrize("name", SETTINGS)
+def test_pickle_and_go_on(name, travel):
+    parameters, noise = SETTINGS[name]
+    X, y = samples(90, noise=noise)
+    model = KoopmanKernelRegressor(trend="constant").set_params(**parameters)
+    expected = clone(model).fit(X, y)
+    grown(model, X[:60], y[:60], [35])
+    loaded = travel(model)
+    assert_allclose(loaded.predict(X), model.predict(X), rtol=1e-12)
+    if name.startswith("fitted"):
+        assert_hidden(loaded, X[60:], y[60:], "nor a copy or pickle keeps")
+        # The copy did not take anything from the original.
+        assert_same(grown(model, X[60:], y[60:], [10]), expected, X)
+    else:
+        loaded = travel(loaded.partial_fit(X[60:70], y[60:70]))
+        assert_same(loaded.partial_fit(X[70:], y[70:]), expected, X)
+        assert_same(grown(model, X[60:], y[60:], [10]), expected, X)
+
+
+@pytest.mark.parametrize("name", ["exact", "penalised", "all rows", "chosen"])
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy])
+def test_copies_go_on_independently(name, duplicate):
+    parameters, noise = SETTINGS[name]
+    X, y = samples(120, repeats=False, noise=noise)
+    one = KoopmanKernelRegressor(trend="linear").set_params(**parameters)
+    grown(one, X[:40], y[:40], [20, 30])
+    two = duplicate(one)
+    left, right = np.r_[0:80], np.r_[0:40, 80:120]
+    for i in range(4):  # in turns
+        a, b = slice(40 + 10 * i, 50 + 10 * i), slice(80 + 10 * i, 90 + 10 * i)
+        one.partial_fit(X[a], y[a])
+        two.partial_fit(X[b], y[b])
+    assert_same(one, clone(one).fit(X[left], y[left]), X)
+    assert_same(two, clone(one).fit(X[right], y[right]), X)
+
+
+def test_clone_forgets_the_batches():
+    X, y = samples(60)
+    for parameters in ({"alpha": 0.1}, {"centers": GIVEN, "method": "least_squares"}):
+        model = KoopmanKernelRegressor(**parameters).partial_fit(X, y)
+        other = clone(model)
+        assert not hasattr(other, "dual_coef_")
+        expected = clone(model).fit(X[::-1], y[::-1])
+        assert_same(other.partial_fit(X[::-1], y[::-1]), expected, X)
+
+
+def test_batches_are_not_kept_by_reference():
+    X, y = samples(80)
+    for name in ("exact", "penalised", "chosen", "fitted", "fitted, chosen"):
+        parameters, noise = SETTINGS[name]
+        X, y = samples(80, noise=noise)
+        model = KoopmanKernelRegressor().set_params(**parameters)
+        rows, outputs = X[:40].copy(), y[:40].copy()
+        model.partial_fit(rows, outputs)
+        rows[...], outputs[...] = 9.0, -9.0
+        rows[...] = np.random.default_rng(0).normal(size=rows.shape)
+        model.partial_fit(X[40:], y[40:])
+        assert_same(model, clone(model).fit(X, y), X)
+
+
+@pytest.mark.parametrize("trend", TRENDS)
+def test_bounds_and_threads_after_growth(trend):
+    X, y = samples(100, repeats=False, noise=False)
+    model = KoopmanKernelRegressor("matern52", beta=0.2, trend=trend, n_jobs=2)
+    expected = clone(model).set_params(n_jobs=None).fit(X, y)
+    T = X[:40] + 0.005
+    grown(model, X[:70], y[:70], [20])
+    model.error_bound(T)  # what it keeps must not outlive the next batch
+    first = model.power_function(T)
+    grown(model, X[70:], y[70:], [3])
+    assert (model.power_function(T) <= first + 1e-7).all()
+    assert_same(model, expected, T, rtol=1e-6)
+    assert_allclose(
+        model.error_bound(T, norm=2.0), expected.error_bound(T, norm=2.0), rtol=1e-3
+    )
+    assert_allclose(model.error_bound(T), expected.error_bound(T), rtol=1e-3)
+    exact = clone(expected).fit(X, y).error_bound(T, norm=[1.0, 3.0])
+    assert_allclose(model.error_bound(T, norm=[1.0, 3.0]), exact, rtol=1e-3)
+
+
+def test_bounds_know_the_penalty_of_added_centres():
+    X, y = samples(60, repeats=False, noise=False)
+    model = KoopmanKernelRegressor(beta=0.4, alpha=0.5)
+    expected = clone(model).fit(X, y).error_bound(X + 0.01)
+    bound = grown(model, X, y, [5, 20]).error_bound(X + 0.01)
+    assert_allclose(bound, expected, rtol=1e-6)
+
+
+def test_error_bound_is_not_for_least_squares_that_grows():
+    X, y = samples(60)
+    model = KoopmanKernelRegressor(centers=GIVEN, method="least_squares")
+    with pytest.raises(ValueError, match="error_bound is that of interpolation"):
+        model.partial_fit(X, y).error_bound(X)
+
+
+@pytest.mark.parametrize("method", ["interpolation", "least_squares"])
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"solver": ConjugateGradient()}, "conjugate gradients do not have"),
+        ({"centers": "precomputed"}, "centers='precomputed'"),
+        ({"centers": KMeans(3)}, "centers=KMeans"),
+        (
+            {"centers": FrozenEstimator(SeparatedCenterSelector().fit(GIVEN))},
+            "centers=FrozenEstimator",
+        ),
+    ],
+)
+def test_what_cannot_grow_says_so(parameters, message, method):
+    X, y = samples(30)
+    model = KoopmanKernelRegressor(method=method, alpha=0.1).set_params(**parameters)
+    assert_hidden(model, X, y, message)
+    assert not hasattr(model, "dual_coef_")
+
+
+def test_given_centres_of_interpolation_cannot_grow():
+    model = KoopmanKernelRegressor(centers=GIVEN)
+    assert_hidden(model, GIVEN, GIVEN, "and method='interpolation'")
+
+
+def test_conjugate_gradients_chosen_by_themselves_cannot_grow(monkeypatch):
+    monkeypatch.setattr("sklearn_koopman._large.is_large", lambda *_: True)
+    X, y = samples(30, noise=False)
+    model = KoopmanKernelRegressor().fit(X, y)
+    assert_hidden(model, X, y, "fit with solver='pivoted_cholesky'")
+
+
+def test_growth_stays_with_the_factor_it_began_with(monkeypatch):
+    X, y = samples(60)
+    model = KoopmanKernelRegressor(alpha=0.1)
+    expected = clone(model).fit(X, y)
+    model.partial_fit(X[:50], y[:50])
+    monkeypatch.setattr("sklearn_koopman._large.is_large", lambda *_: True)
+    model.partial_fit(X[50:], y[50:])  # equal rows: all is factored anew
+    assert_same(model, expected, X)
+
+
+@pytest.mark.parametrize("method", ["interpolation", "least_squares"])
+def test_farthest_centres_cannot_grow(method):
+    X, y = samples(30)
+    selector = SeparatedCenterSelector(0.2, order="farthest")
+    model = KoopmanKernelRegressor(centers=selector, method=method)
+    assert_hidden(model, X, y, "order='sequential'")
+
+
+def test_failed_growth_leaves_the_factor_as_it_was():
+    X = np.linspace(0, 1, 60)[:, np.newaxis]
+    y = np.sin(9 * X[:, 0]) + 0.1 * np.random.default_rng(0).normal(size=60)
+    model = KoopmanKernelRegressor("gaussian", beta=0.1, solver="cholesky")
+    for start in (0, 4, 2):
+        model.partial_fit(X[start::8], y[start::8])
+    before = model.power_function(X), model.predict(X)
+    with pytest.raises(ValueError, match="No estimate"):
+        model.partial_fit(X[6::8], y[6::8])
+    assert_allclose(model.predict(X), before[1])
+    assert_allclose(model.power_function(X) ** 2, before[0] ** 2, atol=1e-12)
+
+
+def test_batch_that_cannot_be_solved_does_not_count():
+    X, y = samples(60)
+    model = KoopmanKernelRegressor(
+        DotProduct(0.0), centers=np.eye(2), method="least_squares"
+    )
+    expected = clone(model).fit(X, y)
+    model.partial_fit(X[:30], y[:30])
+    with pytest.raises(ValueError, match="do not determine"):
+        model.partial_fit([[1e9, 0.0]], [[1e9, 0.0]])
+    assert_same(model.partial_fit(X[30:], y[30:]), expected, X)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 1e-12])
+def test_ill_conditioned_least_squares_grows_where_it_fits(alpha):
+    rng = np.random.default_rng(0)
+    X = rng.uniform(size=(400, 1))
+    y = np.sin(7 * X[:, 0]) + 0.01 * rng.normal(size=400)
+    model = KoopmanKernelRegressor(
+        "gaussian",
+        beta=0.3,
+        centers=np.linspace(0, 1, 20)[:, np.newaxis],
+        method="least_squares",
+        alpha=alpha,
+    )
+    with pytest.warns(LinAlgWarning):
+        expected = clone(model).fit(X, y)
+    with pytest.warns(LinAlgWarning):
+        grown(model, X, y, [80, 160, 240, 320])
+    assert_allclose(model.predict(X), expected.predict(X), atol=1e-5)
+
+
+def test_warnings_are_those_of_fit():
+    X, y = samples(200)
+    parameters = {
+        "centers": np.linspace(0, 1, 20)[:, np.newaxis],
+        "method": "least_squares",
+        "alpha": 0.1,
+    }
+    model = KoopmanKernelRegressor("gaussian", beta=1.0, **parameters)
+    clone(model).fit(X[:, :1], y)  # a penalty makes it irrelevant what is left out
+    model.partial_fit(X[:, :1], y)
+
+
+def test_warning_names_the_line_that_asked():
+    X = np.linspace(0, 1, 60)[:, np.newaxis]
+    model = KoopmanKernelRegressor("gaussian", beta=1.0).partial_fit(X[:3], X[:3])
+    with pytest.warns(LinAlgWarning) as record:
+        model.partial_fit(X[3:], X[3:])
+    assert [warning.filename for warning in record] == [__file__]
+
+
+def test_noise_counts_the_rows_whose_centres_were_left_out():
+    rng = np.random.default_rng(0)
+    X = rng.uniform(size=(60, 1))
+    X = np.vstack([X, X + 1e-11])
+    y = rng.normal(size=120)
+    model = KoopmanKernelRegressor(method="least_squares", beta=0.5)
+    with pytest.warns(LinAlgWarning):
+        expected = clone(model).fit(X, y)
+    with pytest.warns(LinAlgWarning):
+        grown(model, X, y, [60])
+    assert_allclose(model.noise_, expected.noise_, rtol=0.1)
+
+
+# --- sums over rows
+
+
+def native_basis(trend, n_centers=150, beta=0.3, kernel=Gaussian):
+    rng = np.random.default_rng(2)
+    centers = rng.uniform(size=(n_centers, 2))
+    degree = {None: None, "constant": 0, "linear": 1}[trend]
+    X = rng.uniform(size=(400, 2))
+    y = rng.normal(size=(400, 2)) + X
+    tail = None if degree is None else Tail.on(centers, degree, X)
+    sections = KernelSections(kernel(beta), centers)
+    return NativeBasis.of(sections, centers, np.zeros(n_centers), tail), X, y
+
+
+@pytest.mark.parametrize("trend", TRENDS)
+@pytest.mark.parametrize("alpha", [0.0, 0.5])
+def test_normal_equations_are_plain_least_squares(trend, alpha):
+    basis, X, y = native_basis(trend, kernel=lambda beta: MaternSobolev(beta, 1.5))
+    M, q = 150, basis.Q.shape[1]
+    lower = np.tril(basis.lower)
+    equations = NormalEquations.empty(basis, basis.lower, 2)
+    other = NormalEquations.empty(basis, np.full((M, M), 5.0, order="F"), 2)
+    equations.add(basis, X[:250], y[:250].__getitem__)
+    other.add(basis, X[250:], y[250:].__getitem__)
+    equations.merge(other)
+    assert_array_equal(np.tril(basis.lower), lower)  # they share an array
+    assert_allclose(equations.diagonal, 400.0)
+    sums = [np.triu(equations.upper, 1), *map(np.copy, equations.corners)]
+    # Working memory may hold anything; its lower triangle stays.
+    F = np.full((M, M), np.nan, order="F")
+    F[np.tril_indices(M)] = 3.0
+    z, b, freedom = equations.solve(basis, alpha, F)
+    assert (F[np.tril_indices(M)] == 3.0).all()
+    for before, after in zip(
+        sums, [np.triu(equations.upper, 1), *equations.corners], strict=True
+    ):
+        assert_array_equal(before, after)
+    # Densely: z in the complement of Q.
+    a, t = basis.values(X)
+    Z = null_space(basis.Q.T) if q else np.eye(M)
+    design = np.hstack([a.T @ Z, t.T])
+    penalty = np.hstack([np.sqrt(alpha) * np.eye(M - q), np.zeros((M - q, q))])
+    inverse = np.linalg.pinv(np.vstack([design, penalty]), rcond=1e-14)[:, :400]
+    w = inverse @ y
+    assert_allclose(z, Z @ w[: M - q], atol=1e-8 * abs(w).max())
+    assert_allclose(b, w[M - q :], atol=1e-8 * abs(w).max())
+    assert_allclose(basis.Q.T @ z, np.zeros((q, 2)), atol=1e-9 * abs(w).max())
+    assert_allclose(freedom, np.trace(design @ inverse), rtol=1e-9)
+    residual = np.linalg.norm(y - design @ w, axis=0)
+    assert_allclose(equations.residual_norms(z, b), residual, rtol=1e-8)
+    # The norms are those of any coordinates, not of the solution only.
+    rng = np.random.default_rng(1)
+    z, b = rng.normal(size=z.shape), rng.normal(size=b.shape)
+    z -= basis.Q @ (basis.Q.T @ z)
+    residual = np.linalg.norm(y - a.T @ z - t.T @ b, axis=0)
+    assert_allclose(equations.residual_norms(z, b), residual, rtol=1e-9)
+    # And with the factor's own upper triangle as working memory.
+    z, b, freedom = equations.solve(basis, alpha, basis.lower)
+    assert_allclose(z, Z @ w[: M - q], atol=1e-8 * abs(w).max())
+    assert_array_equal(np.tril(basis.lower), lower)
+
+
+def test_polynomials_that_the_centres_do_not_see():
+    rng = np.random.default_rng(3)
+    centers = np.column_stack([np.linspace(0, 1, 5), np.zeros(5)])
+    X = rng.uniform(size=(60, 2))
+    y = 2.0 - 7.0 * X[:, 1]
+    model = KoopmanKernelRegressor(
+        centers=centers, method="least_squares", trend="linear", beta=0.3
+    )
+    grown(model, X, y, [20, 21])
+    assert_allclose(model.predict([[0.5, 3.0]]), [2.0 - 21.0], atol=1e-8)
+    assert_allclose(model.trend_coef_[2], -7.0, atol=1e-9)
+    assert_allclose(model.noise_, 0.0, atol=1e-6)
+
+
+def test_polynomials_that_the_rows_do_not_tell_are_left_at_zero():
+    model = KoopmanKernelRegressor(
+        centers=GIVEN, method="least_squares", trend="linear", alpha=0.5
+    )
+    model.partial_fit(GIVEN[:2], [3.0, 4.0])
+    assert_allclose(model.predict(GIVEN[:2]), [3.0, 4.0], rtol=1e-9)
+    assert (abs(model.predict(GIVEN)) < 30).all()
+    assert (abs(model.trend_coef_) < 30).all()
+
+
+def test_residuals_below_rounding_are_zero():
+    basis, X, _ = native_basis(None, n_centers=20)
+    y = basis.values(X)[0].T[:, :2] * 1e6
+    equations = NormalEquations.empty(basis, basis.lower, 2)
+    equations.add(basis, X, y.__getitem__)
+    F = np.empty_like(basis.lower)
+    norms = equations.residual_norms(*equations.solve(basis, 0.0, F)[:2])
+    assert (norms >= 0).all()
+    assert_allclose(norms / 1e6, 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "trend",
+    [
+        None,
+        "linear",
+    ],
+)
+def test_regression_of_arrays_on_disk(tmp_path, trend):
+    n, d = 100_000, 32
+    rng = np.random.default_rng(0)
+    X = np.memmap(tmp_path / "X", dtype=np.float64, mode="w+", shape=(n, d))
+    y = np.memmap(tmp_path / "y", dtype=np.float64, mode="w+", shape=(n, 2))
+    X[...] = rng.uniform(size=(n, d))
+    y[...] = np.column_stack([X[:, 0] * X[:, 1], np.sin(X[:, 2])])
+    X.flush(), y.flush()
+    X = np.memmap(tmp_path / "X", dtype=np.float64, mode="r", shape=(n, d))
+    y = np.memmap(tmp_path / "y", dtype=np.float64, mode="r", shape=(n, 2))
+    model = KoopmanKernelRegressor(
+        beta=2.0, centers=X[:10], method="least_squares", trend=trend, alpha=0.1
+    )
+    expected = clone(model).fit(np.array(X), np.array(y))
+    tracemalloc.start()
+    try:
+        model.fit(X, y)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < X.nbytes
+    assert_allclose(model.dual_coef_, expected.dual_coef_, rtol=1e-12)
+    assert_allclose(model.noise_, expected.noise_, rtol=1e-12)
+    streamed = clone(model)
+    for start in range(0, n, 25_000):
+        streamed.partial_fit(X[start : start + 25_000], y[start : start + 25_000])
+    T = np.array(X[:100])
+    assert_allclose(streamed.predict(T), expected.predict(T), atol=1e-9)
+    assert_allclose(streamed.noise_, expected.noise_, rtol=1e-6)
+
+
+class Counting(ThreadingBackend):
+    """Stands for the backends of clusters."""
+
+    tasks = 0
+
+    def submit(self, func, callback=None):  # joblib >= 1.5
+        Counting.tasks += 1
+        return super().submit(func, callback)
+
+    def apply_async(self, func, callback=None):
+        Counting.tasks += 1
+        return super().apply_async(func, callback)
+
+
+class CountingAllAtOnce(Counting):
+    """Cannot return its results one by one."""
+
+    supports_return_generator = False
+
+
+@pytest.fixture
+def backends():
+    Counting.tasks = 0
+    registered = {"counting": Counting, "all at once": CountingAllAtOnce}
+    for name, backend in registered.items():
+        joblib.register_parallel_backend(name, backend)
+    yield
+    for name in registered:
+        del BACKENDS[name]
+
+
+def regression(n_jobs=None, trend="linear"):
+    """Least squares, and its data: rows that two or three do not divide evenly."""
+    X, y = samples(401, n_outputs=2)
+    model = KoopmanKernelRegressor(
+        "wendland_c2",
+        centers=X[:80:7],
+        method="least_squares",
+        trend=trend,
+        alpha=0.01,
+        n_jobs=n_jobs,
+    )
+    return model, X, y
+
+
+def assert_shared(model, X, y):
+    serial = clone(model).set_params(n_jobs=1)
+    with joblib.parallel_config("sequential"):
+        serial.fit(X, y)
+    model.fit(X, y)
+    assert_allclose(model.dual_coef_, serial.dual_coef_, atol=1e-10)
+    assert_allclose(model.trend_coef_, serial.trend_coef_, atol=1e-10)
+    assert_allclose(model.noise_, serial.noise_, rtol=1e-10)
+    assert_allclose(model.amplitude_, serial.amplitude_, rtol=1e-9)
+
+
+def test_workers_share_the_rows(monkeypatch, tmp_path):
+    monkeypatch.setattr(_normal, "PARALLEL_WORK", 0)
+    model, X, y = regression(n_jobs=2)
+    assert_shared(model, X, y)  # by loky
+    for name, values in (("X", X), ("y", y)):
+        np.save(tmp_path / name, values)
+    X = np.load(tmp_path / "X.npy", mmap_mode="r")
+    y = np.load(tmp_path / "y.npy", mmap_mode="r")
+    assert_shared(model, X, y)
+
+
+@pytest.mark.parametrize("n_jobs", [2, 3])
+def test_threads_share_the_rows(monkeypatch, n_jobs):
+    model, X, y = regression()
+    with joblib.parallel_config("threading", n_jobs=n_jobs):
+        monkeypatch.setattr(_normal, "PARALLEL_WORK", 0)
+        assert_shared(model, X, y)
+
+
+@pytest.mark.parametrize("backend", ["counting", "all at once"])
+def test_any_backend_gets_shares(monkeypatch, backends, backend):
+    model, X, y = regression()
+    with joblib.parallel_config(backend, n_jobs=3):
+        model.fit(X, y)
+        assert Counting.tasks == 0  # too little work
+        monkeypatch.setattr(_normal, "PARALLEL_WORK", 401 * 12**2)
+        model.fit(X, y)
+        assert Counting.tasks == 3
+        monkeypatch.setattr(_normal, "PARALLEL_WORK", 401 * 12**2 + 1)
+        model.fit(X, y)
+        assert Counting.tasks == 3
+        monkeypatch.setattr(_normal, "PARALLEL_WORK", 0)
+        assert_shared(model, X, y)
+
+
+def test_shares_hold_their_rows_only(monkeypatch, backends):
+    """A worker is given its share, not all rows and a number."""
+    monkeypatch.setattr(_normal, "PARALLEL_WORK", 0)
+    lengths = []
+    share = _normal._share
+
+    def spied(basis, X, y):
+        lengths.append((len(X), len(y)))
+        return share(basis, X, y)
+
+    monkeypatch.setattr(_normal, "_share", spied)
+    model, X, y = regression()
+    with joblib.parallel_config("counting", n_jobs=3):
+        model.fit(X, y)
+    assert sorted(lengths) == [(133, 133), (134, 134), (134, 134)]
+
+
+def test_rows_fewer_than_workers(monkeypatch, backends):
+    monkeypatch.setattr(_normal, "PARALLEL_WORK", 0)
+    basis, X, y = native_basis("linear", n_centers=5, kernel=lambda b: Wendland(b, 2))
+    expected = least_squares(basis, X[:6], y[:6].__getitem__, 2, 0.1)
+    with joblib.parallel_config("counting", n_jobs=20):
+        found = least_squares(basis, X[:6], y[:6].__getitem__, 2, 0.1)
+    for a, b in zip(found, expected, strict=True):
+        assert_allclose(a, b, atol=1e-10)
