@@ -214,9 +214,7 @@ def _explained(kernel: Any, n_centers: int) -> Iterator[None]:
     try:
         yield
     except _solvers.UnsuitableKernelError as error:
-        raise ValueError(
-            f"kernel={kernel!r} {error}; rescale them, or take another kernel."
-        ) from error
+        raise ValueError(f"kernel={kernel!r} {error}.") from error
     except np.linalg.LinAlgError as error:
         raise ValueError(
             f"No estimate for kernel={kernel!r} on {n_centers} centres: {error}. "
@@ -249,11 +247,15 @@ def _warn_not_converged(
     kernel: Any, n_centers: int, solver: ConjugateGradient, found: Converged
 ) -> None:
     if found.residual > solver.tol:
+        advice = (
+            "Raise max_iter, rank, n_neighbors or tol of the solver."
+            if found.n_iter >= solver.max_iter
+            else "More of them did not help, as rounding allows no less: raise tol."
+        )
         warnings.warn(
             f"Conjugate gradients for kernel={kernel!r} on {n_centers} centres ended "
             f"after {found.n_iter} iterations with a relative residual of "
-            f"{found.residual:.1e}, above tol={solver.tol:.1e}. Raise max_iter, rank, "
-            f"n_neighbors or tol of the solver. {REMEDY}",
+            f"{found.residual:.1e}, above tol={solver.tol:.1e}. {advice} {REMEDY}",
             ConvergenceWarning,
             stacklevel=_frames_in_here(),
         )

@@ -78,8 +78,13 @@ def conjugate_gradients(
             max_iter - n_iter,
         )
         n_iter += taken
-        x[:, open_] += step
-        residual = b - project(product(x))
+        moved = x.copy()
+        moved[:, open_] += step
+        left = b - project(product(moved))
+        # On a matrix that rounding makes indefinite, more steps make it worse.
+        better = np.linalg.norm(left, axis=0) < error
+        x = np.where(better, moved, x)
+        residual = np.where(better, left, residual)
 
 
 def complement(P: Array, v: Array) -> Array:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dtrtri
 from scipy.sparse import csr_array
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_random_state, gen_batches
@@ -27,10 +28,11 @@ from sklearn_koopman._iterative import (
     neighbor_preconditioner,
     pivoted_factor,
 )
-from sklearn_koopman._native import Tail, polynomial
+from sklearn_koopman._native import Tail, cholesky, polynomial
 from sklearn_koopman._sections import (
     KernelSections,
     Sections,
+    gram_matrix,
     gram_product,
     is_sparse,
     matrix,
@@ -124,7 +126,8 @@ class ImplicitBasis:
         if is_sparse(sections, centers, KEPT) or kind == "banded":
             if not sections.is_compact:
                 raise UnsuitableKernelError(
-                    "has no compact support, which preconditioner='banded' needs"
+                    "has no compact support, which preconditioner='banded' needs: "
+                    "take preconditioner='auto'"
                 )
             K = _sparse.gram(sections.kernel, sections.tree, centers, diagonal)
             multiply = K.__matmul__
@@ -133,7 +136,12 @@ class ImplicitBasis:
                 cheap = len(centers) * width**2 <= BANDED_WORK
                 kind = "banded" if cheap or kind == "banded" else "neighbors"
             if kind == "banded":
-                precondition = _sparse.banded_solver(K, order, width)
+                try:
+                    precondition = _sparse.banded_solver(K, order, width)
+                except np.linalg.LinAlgError:
+                    if solver.preconditioner == "banded":
+                        raise
+                    kind = "neighbors"
         else:
 
             def multiply(V: Array) -> Array:
@@ -250,9 +258,23 @@ def _few_columns(
     return F, left + 1e-14 * len(F)
 
 
-def _squared(W: csr_array, inner: Product = lambda v: v) -> Product:
+def _dense_root(sections: KernelSections) -> Array:
+    """Return W with W^T W close to the inverse of the Gram matrix, singular or not."""
+    centers = sections.centers
+    K, _, _ = gram_matrix(sections, centers, np.zeros(len(centers)))
+    size = float(K.diagonal().max()) * len(K) * float(np.finfo(np.float64).eps)
+    info = 1
+    while info != 0:
+        F = K.copy(order="F")
+        F[np.diag_indices(len(F))] += size
+        lower, info = cholesky(F, lower=True)
+        size *= 100
+    return np.tril(dtrtri(lower, lower=1)[0])
+
+
+def _squared(W: csr_array | Array, inner: Product = lambda v: v) -> Product:
     """Return v -> W^T inner(W v)."""
-    WT = W.T.tocsr()
+    WT = W.T if isinstance(W, np.ndarray) else W.T.tocsr()
     return lambda v: WT @ inner(W @ v)
 
 
@@ -322,8 +344,10 @@ def regress(
     def normal(c: Array) -> Array:
         return backward(complement(T, forward(c))) + alpha * basis.product(c)
 
-    W = basis.W
-    if W is None:
+    W: csr_array | Array | None = basis.W
+    if not sparse and M <= DENSE_CENTERS:
+        W = _dense_root(sections)
+    elif W is None:
         W = neighbor_preconditioner(
             sections.kernel,
             centers,

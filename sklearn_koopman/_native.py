@@ -11,6 +11,7 @@ condition number that the kernel sections themselves would give it.
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,13 @@ from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dpocon, dpotrf, dtrtrs
 from sklearn.utils import gen_batches
 
-from sklearn_koopman._sections import Sections, by_rows, gram_matrix, matrix
+from sklearn_koopman._sections import (
+    Sections,
+    by_rows,
+    gram_matrix,
+    matrix,
+    one_thread,
+)
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -27,6 +34,9 @@ Indices = NDArray[np.intp]
 # Below this reciprocal condition number the factorisation succeeded by chance, and its
 # last rows mean nothing.
 SINGULAR = 1e-17
+# From this size on, in bytes, the factorisation by several threads of OpenBLAS ends in
+# a segmentation fault (seen with its 32-bit integers in SciPy 1.11 to 1.17).
+LARGE = 2**31
 
 
 @dataclass(frozen=True)
@@ -116,7 +126,7 @@ class NativeBasis:
     ) -> NativeBasis:
         """Factor the Gram matrix at the centres plus a diagonal `nugget`."""
         K, excess, norm = gram_matrix(sections, points, nugget)
-        lower, info = dpotrf(K, lower=1, clean=0, overwrite_a=1)
+        lower, info = cholesky(K, lower=True)
         if info != 0:
             raise np.linalg.LinAlgError("the Gram matrix is not positive definite")
         rcond = float(dpocon(lower, norm, uplo="L")[0])
@@ -207,6 +217,13 @@ def solve_triangular(
     if info != 0:
         raise np.linalg.LinAlgError("the Gram matrix is singular")
     return x
+
+
+def cholesky(K: Array, *, lower: bool) -> tuple[Array, int]:
+    """Factor one triangle of a matrix in place; not zero if that is impossible."""
+    with one_thread() if K.nbytes >= LARGE else nullcontext():
+        factor, info = dpotrf(K, lower=int(lower), clean=0, overwrite_a=1)
+    return factor, info
 
 
 def block_rows(n_centers: int) -> int:

@@ -19,11 +19,11 @@ import numpy as np
 from joblib import effective_n_jobs
 from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm
-from scipy.linalg.lapack import dpocon, dpotrf, dpotri, dpotrs
+from scipy.linalg.lapack import dpocon, dpotri, dpotrs
 from sklearn.utils import gen_batches
 from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_koopman._native import NativeBasis, block_rows
+from sklearn_koopman._native import NativeBasis, block_rows, cholesky
 
 Array = NDArray[np.float64]
 # The outputs of a slice of the rows, so that many need not be held at once.
@@ -148,7 +148,7 @@ class NormalEquations:
             block[np.diag_indices_from(block)] += alpha
             F[panel, panel] = np.triu(block) + np.tril(F[panel, panel], -1)
 
-        _, info = dpotrf(F, lower=0, clean=0, overwrite_a=1)
+        _, info = cholesky(F, lower=False)
         norm = trace + q * along_Q + M * alpha
         rcond = 0.0 if info else float(dpocon(F, norm, uplo="U")[0])
         if info or rcond < min(1e-13, 1e-6 * basis.rcond):

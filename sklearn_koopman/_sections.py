@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
-from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -93,8 +92,8 @@ class KernelSections:
 
     @cached_property
     def tree(self) -> KDTree:
-        """The centres, for kernels of compact support."""
-        return _sparse.kd_tree(self.centers)
+        """The centres in units of the scale, for kernels of compact support."""
+        return _sparse.kd_tree(self.kernel, self.centers)
 
     @property
     def is_compact(self) -> bool:
@@ -227,8 +226,8 @@ def product(
             values[rows] += _filled(fill, rows, columns, work) @ dual[columns]
         return values
 
-    # Scaled copies of the rows are made once a slab, of whole tiles: their sums do not
-    # depend on the number of threads.
+    # Scaled copies of the rows are made once a slab, of whole tiles: sums of exact ones
+    # do not depend on the number of threads.
     height = _height(len(sections))
     n_tiles = -(-len(X) // (8 * effective_n_jobs(n_jobs) * height))
     n_rows = min(n_tiles, max(2**16 // height, 1)) * height
@@ -258,17 +257,14 @@ def gram_product(
     sections: Sections, points: Array, V: Array, n_jobs: int | None = None
 ) -> Array:
     """Evaluate k(Xi, Xi) @ V without holding the matrix, from one triangle."""
-    n = len(points)
-    # Blocks of rows of equal area, for the threads to share.
-    n_blocks = max(8 * effective_n_jobs(n_jobs), 1)
-    edges = n - n * np.sqrt(1 - np.arange(n_blocks + 1) / n_blocks)
-    edges = TILE_ROWS * np.round(edges / TILE_ROWS).astype(int)
-    edges[-1] = n
+    n, n_workers = len(points), effective_n_jobs(n_jobs)
 
-    def block(start: int, stop: int) -> Array:
+    def share(first: int) -> Array:
+        """Return the sums over every so many rows of tiles."""
         sums = np.zeros_like(V)
         fill, work = sections.tiles(points, exact=False), np.empty(TILE)
-        for rows in _slices(start, stop, TILE_ROWS):
+        for start in range(first * TILE_ROWS, n, n_workers * TILE_ROWS):
+            rows = slice(start, min(start + TILE_ROWS, n))
             sums[rows] += _filled(fill, rows, rows, work) @ V[rows]
             for columns in _slices(rows.stop, n, TILE // TILE_ROWS):
                 tile = _filled(fill, rows, columns, work)
@@ -276,14 +272,17 @@ def gram_product(
                 sums[columns] += tile.T @ V[rows]
         return sums
 
-    blocks = [(int(a), int(b)) for a, b in pairwise(edges) if a < b]
-    if effective_n_jobs(n_jobs) == 1:
-        return np.sum([block(*edge) for edge in blocks], axis=0)
+    if n_workers == 1:
+        with one_thread():
+            return share(0)
     with one_thread():
-        parts = Parallel(n_jobs=n_jobs, prefer="threads")(
-            delayed(block)(*edge) for edge in blocks
+        shares = Parallel(n_jobs=n_jobs, prefer="threads")(
+            delayed(share)(first) for first in range(n_workers)
         )
-    return np.sum(parts, axis=0)
+    total = shares[0]
+    for more in shares[1:]:
+        total += more
+    return total
 
 
 def by_rows(

@@ -152,7 +152,10 @@ def independent_centers(
     """Return the centres that a pivoted Cholesky factorisation keeps, in order."""
     K, _, norm = gram_matrix(sections, points, nugget)
     if not np.isfinite(norm):
-        raise UnsuitableKernelError("has values that are not finite on these states")
+        raise UnsuitableKernelError(
+            "has values that are not finite on these states; rescale them, or take "
+            "another kernel"
+        )
     diagonal = K.diagonal().copy()
     largest = float(diagonal.max())
     F, pivots, rank, _ = dpstrf(K, tol=tolerance * largest, lower=1, overwrite_a=1)
@@ -163,7 +166,10 @@ def independent_centers(
     left = diagonal[order[rank:]] - np.square(F[rank:, :rank]).sum(axis=1)
     limit = max(tolerance, 1e-10) * largest
     if largest <= 0 or (len(left) and np.abs(left).max() > limit):
-        raise UnsuitableKernelError("is not positive definite on these states")
+        raise UnsuitableKernelError(
+            "is not positive definite on these states; rescale them, or take another "
+            "kernel"
+        )
     return np.sort(order[:rank]).astype(np.intp)
 
 

@@ -23,15 +23,19 @@ SAMPLED = 256
 BLOCK = 2**21
 
 
-def kd_tree(points: Array) -> KDTree:
-    """Return a tree that is quick to build and made for small radii."""
-    return KDTree(points, balanced_tree=False, compact_nodes=False)
+def kd_tree(kernel: RadialKernel, points: Array) -> KDTree:
+    """Return a tree of points in units of the scale, quick to build."""
+    return KDTree(points / kernel.beta, balanced_tree=False, compact_nodes=False)
+
+
+def _radius(kernel: RadialKernel) -> float:
+    return kernel.support_radius / kernel.beta
 
 
 def density(kernel: RadialKernel, tree: KDTree, X: Array) -> float:
     """Estimate which part of k(X, Xi) is not zero."""
-    rows = X[:: -(-len(X) // SAMPLED)]
-    counts = tree.query_ball_point(rows, kernel.support_radius, return_length=True)
+    rows = X[:: -(-len(X) // SAMPLED)] / kernel.beta
+    counts = tree.query_ball_point(rows, _radius(kernel), return_length=True)
     return float(np.mean(counts)) / tree.n
 
 
@@ -40,7 +44,7 @@ def gram(
 ) -> csr_array:
     """Return the Gram matrix with this diagonal."""
     n = len(points)
-    pairs = tree.query_pairs(kernel.support_radius, output_type="ndarray")
+    pairs = tree.query_pairs(_radius(kernel), output_type="ndarray")
     values = np.empty(len(pairs))
     for start in range(0, len(pairs), BLOCK):
         rows = slice(start, start + BLOCK)
@@ -58,8 +62,8 @@ def gram(
 
 def cross(kernel: RadialKernel, X: Array, centers: Array, tree: KDTree) -> csr_array:
     """Return k(X, Xi)."""
-    near = kd_tree(X).sparse_distance_matrix(
-        tree, kernel.support_radius, output_type="ndarray"
+    near = kd_tree(kernel, X).sparse_distance_matrix(
+        tree, _radius(kernel), output_type="ndarray"
     )
     i, j = near["i"], near["j"]
     values = np.empty(len(near))

@@ -37,7 +37,7 @@ Indices = NDArray[np.intp]
 # eigenvectors is at least this, so that both agree to about 1e-9.
 WELL_CONDITIONED = 1e-7
 # What happens where the Gram matrix is not positive definite.
-SOLVERS = ("auto", "cholesky")
+SOLVERS = ("auto", "pivoted_cholesky", "cholesky")
 # A forecast this many times larger than all outputs of the training data has diverged.
 DIVERGED = 1e3
 
@@ -97,10 +97,11 @@ default=None
           those of the reduced model, which is small.
         - 0: the whole operator without its spectrum, which takes most of the time of a
           fit with many centres; for forecasts, and for searches by `forecast_score`.
-    solver : {"auto", "cholesky"}, default="auto"
-        What happens where the Gram matrix is not numerically positive definite: a
-        pivoted Cholesky factorisation leaves out the centres that depend on others,
-        with a warning, or an error. `rank_` tells what is left.
+    solver : {"auto", "pivoted_cholesky", "cholesky"}, default="auto"
+        What happens where the Gram matrix, a dense one, is not numerically positive
+        definite. "auto" and "pivoted_cholesky": a pivoted Cholesky factorisation leaves
+        out the centres that depend on others, with a warning; `rank_` tells what is
+        left. "cholesky": an error.
     n_jobs : int, default=None
         Number of threads for predictions. None means 1 unless in a
         :obj:`joblib.parallel_backend` context, -1 means all processors.

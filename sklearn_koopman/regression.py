@@ -137,15 +137,17 @@ default="auto"
         Standard deviation of the outputs about the estimate. ``amplitude_ *
         sqrt(alpha)`` for interpolation, and where every row is a centre; otherwise
         the root of the sum of squared residuals over the number of rows less the
-        effective number of parameters.
+        effective number of parameters (with conjugate gradients an estimate of it, good
+        to about 1 % of `noise_`).
     solver_ : str or ConjugateGradient
         What `solver` came to: "pivoted_cholesky", "cholesky" or the conjugate
         gradients.
     n_iter_ : int
         Number of iterations. Only with conjugate gradients.
     residual_ : float
-        Largest residual of any output relative to the values to be met, computed anew
-        at the end. Only with conjugate gradients.
+        Largest residual relative to the values to be met, computed anew at the end: of
+        any output and, for least squares, of the random vectors that estimate the
+        effective number of parameters. Only with conjugate gradients.
     rcond_ : float
         Estimate of the reciprocal condition number of the matrix that was factored:
         K, with `alpha` on its diagonal for interpolation. About ``-log10(rcond_)`` of

@@ -68,7 +68,7 @@ default=None
         Which outputs the estimate is made from.
     trend : {None, "constant", "linear"}, default=None
         Polynomial tail that is solved for together with the kernel part.
-    solver : {"auto", "cholesky"}, default="auto"
+    solver : {"auto", "pivoted_cholesky", "cholesky"}, default="auto"
         What happens where the Gram matrix is not numerically positive definite:
         dependent centres are left out, of all folds, or the candidate fails.
     scoring : str or callable, default=None
@@ -283,7 +283,7 @@ default=None
             folds,
             interpolates=self.method == "interpolation",
             degree=DEGREES[self.trend],
-            drop_dependent=self.solver == "auto",
+            drop_dependent=self.solver != "cholesky",
         )
         if search.interpolates:
             self._check_folds(search)

@@ -1,0 +1,1054 @@
+"""Conjugate gradients, against dense factorisations and closed forms."""
+
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process.kernels import RBF, DotProduct, Matern, WhiteKernel
+from sklearn.model_selection import GridSearchCV
+from sklearn.utils.estimator_checks import parametrize_with_checks
+
+from sklearn_koopman import (
+    KernelEDMD,
+    KoopmanKernelRegressor,
+    SeparatedCenterSelector,
+    _large,
+)
+from sklearn_koopman._iterative import (
+    Converged,
+    _coarse_to_fine,
+    _nearest_predecessors,
+    conjugate_gradients,
+    low_rank_inverse,
+    neighbor_preconditioner,
+    pivoted_factor,
+)
+from sklearn_koopman._sections import KernelSections, is_sparse
+from sklearn_koopman._sparse import (
+    banded_solver,
+    bandwidth,
+    cross,
+    density,
+    gram,
+    kd_tree,
+)
+from sklearn_koopman.kernels import KERNELS, MaternSobolev, Wendland
+from sklearn_koopman.solvers import ConjugateGradient
+
+RNG = np.random.default_rng(0)
+SQUARE = RNG.uniform(size=(700, 2))
+STATES = RNG.normal(size=(220, 2))
+ELSEWHERE = STATES[:25] + 0.05
+
+
+def outputs(X, n_outputs=3):
+    columns = [np.sin(3 * X[:, 0]), np.cos(2 * X[:, -1]) + 5.0, X[:, 0] ** 2 - X[:, -1]]
+    return np.column_stack(columns)[:, :n_outputs]
+
+
+Y = outputs(STATES)
+
+
+def both(X, y, solver=None, **parameters):
+    """The same estimate by conjugate gradients and by a dense factor."""
+    solver = ConjugateGradient(tol=1e-12) if solver is None else solver
+    iterative = KoopmanKernelRegressor(solver=solver, **parameters).fit(X, y)
+    dense = KoopmanKernelRegressor(solver="pivoted_cholesky", **parameters).fit(X, y)
+    assert isinstance(iterative.solver_, ConjugateGradient)
+    assert dense.solver_ == "pivoted_cholesky"
+    return iterative, dense
+
+
+def assert_agree(X, y, at, solver=None, tol=1e-8, **parameters):
+    iterative, dense = both(X, y, solver, **parameters)
+    size = np.maximum(np.abs(y).max(axis=0), np.finfo(float).tiny)
+    difference = np.abs(iterative.predict(at) - dense.predict(at))
+    assert (difference / size).max() < tol
+    assert iterative.residual_ <= iterative.solver_.tol
+    P, expected = iterative.power_function(at), dense.power_function(at)
+    # Squared, since the root of what rounding leaves is large.
+    assert (P**2 - expected**2).min() > -1e-11 * max(1.0, expected.max() ** 2)
+    np.testing.assert_allclose(P**2, expected**2, rtol=1e-9, atol=1e-9)
+    assert (np.abs(iterative.amplitude_ - dense.amplitude_) / size).max() < 1e-6
+    if parameters.get("trend") is not None:
+        np.testing.assert_allclose(
+            iterative.trend_coef_,
+            dense.trend_coef_,
+            atol=1e-7 * max(np.abs(y).max(), 1e-300) / np.abs(X).max(),
+            rtol=1e-7,
+        )
+    return iterative, dense
+
+
+@parametrize_with_checks(
+    [
+        KoopmanKernelRegressor(solver=ConjugateGradient()),
+        KoopmanKernelRegressor(
+            centers=SeparatedCenterSelector(1.0),
+            method="least_squares",
+            solver=ConjugateGradient(),
+            trend="constant",
+        ),
+    ]
+)
+def test_scikit_learn_check(estimator, check):
+    check(estimator)
+
+
+# Agreement with the dense solver.
+
+
+@pytest.mark.parametrize("trend", [None, "constant", "linear"])
+@pytest.mark.parametrize("alpha", [0.0, 1e-3, 1.0, 1e10])
+@pytest.mark.parametrize("preconditioner", ["auto", "neighbors", "nystroem"])
+def test_interpolation(trend, alpha, preconditioner):
+    solver = ConjugateGradient(tol=1e-12, preconditioner=preconditioner, rank=150)
+    model, dense = assert_agree(
+        STATES, Y, ELSEWHERE, solver, beta=0.5, alpha=alpha, trend=trend
+    )
+    np.testing.assert_allclose(model.noise_, dense.noise_, rtol=1e-8)
+    np.testing.assert_allclose(model.dual_coef_, dense.dual_coef_, atol=1e-7)
+    assert not hasattr(model, "rcond_")
+
+
+@pytest.mark.parametrize("trend", [None, "constant", "linear"])
+@pytest.mark.parametrize("alpha", [0.0, 1e-6, 1.0, 1e10])
+@pytest.mark.parametrize("kernel", ["matern12", "matern32", "wendland_c2"])
+def test_least_squares_at_chosen_centres(trend, alpha, kernel):
+    model, dense = assert_agree(
+        STATES,
+        Y,
+        ELSEWHERE,
+        kernel=kernel,
+        beta=0.8,
+        alpha=alpha,
+        trend=trend,
+        centers=SeparatedCenterSelector(0.3),
+        method="least_squares",
+    )
+    # The effective number of parameters is estimated, of 220 rows.
+    np.testing.assert_allclose(model.noise_, dense.noise_, rtol=0.05)
+    if alpha == 0:
+        np.testing.assert_allclose(model.noise_, dense.noise_, rtol=1e-8)
+
+
+@pytest.mark.parametrize("preconditioner", ["auto", "neighbors", "nystroem"])
+def test_smooth_kernel_with_noise_takes_few_iterations(preconditioner):
+    solver = ConjugateGradient(preconditioner=preconditioner)
+    model, _ = assert_agree(
+        STATES, Y, ELSEWHERE, solver, kernel="gaussian", beta=0.7, alpha=1e-2
+    )
+    if preconditioner != "neighbors":
+        assert model.n_iter_ <= 3
+
+
+def test_nystroem_of_low_rank():
+    # Half of the eigenvalues are left to the shift.
+    solver = ConjugateGradient(preconditioner="nystroem", rank=60)
+    model, _ = assert_agree(STATES, Y, ELSEWHERE, solver, beta=1.0, alpha=1e-2)
+    assert 5 < model.n_iter_ < 120
+    few = ConjugateGradient(preconditioner="nystroem", rank=5)
+    worse, _ = assert_agree(STATES, Y, ELSEWHERE, few, beta=1.0, alpha=1e-2)
+    assert worse.n_iter_ > model.n_iter_
+
+
+def test_auto_takes_columns_only_where_they_suffice():
+    def iterations(**parameters):
+        model = KoopmanKernelRegressor(
+            "gaussian", beta=1.0, alpha=1e-2, solver=ConjugateGradient(**parameters)
+        ).fit(STATES, Y)
+        return model.n_iter_
+
+    assert iterations() == iterations(preconditioner="nystroem")
+    assert iterations(rank=10) == iterations(rank=10, preconditioner="neighbors")
+    assert iterations(rank=10) != iterations(rank=10, preconditioner="nystroem")
+
+
+@pytest.mark.parametrize("trend", [None, "linear"])
+@pytest.mark.parametrize("method", ["interpolation", "least_squares"])
+@pytest.mark.parametrize(
+    "kernel",
+    [
+        1.5 * RBF(0.3) + WhiteKernel(0.1),
+        2.0 * Matern(1.0, nu=1.5),
+        MaternSobolev(1.0) + WhiteKernel(1e-2),
+        RBF([1.0, 5.0]) + WhiteKernel(0.01),
+        DotProduct() + WhiteKernel(1.0),
+        Wendland(0.5) * MaternSobolev(1.0),
+    ],
+)
+def test_foreign_kernels(kernel, method, trend):
+    centers = None if method == "interpolation" else STATES[:60]
+    assert_agree(
+        STATES,
+        Y,
+        ELSEWHERE,
+        kernel=kernel,
+        alpha=0.01,
+        method=method,
+        trend=trend,
+        centers=centers,
+    )
+
+
+@pytest.mark.parametrize("alpha", [1e-2, 3.0])
+@pytest.mark.parametrize("method", ["interpolation", "least_squares"])
+@pytest.mark.parametrize("trend", [None, "linear"])
+def test_equal_rows_count(alpha, method, trend):
+    X = np.vstack([STATES, STATES[:50], STATES[:20]])
+    y = np.vstack([Y, Y[:50] + 0.1, Y[:20] - 0.3])
+    model, dense = assert_agree(
+        X, y, ELSEWHERE, alpha=alpha, method=method, trend=trend
+    )
+    assert len(model.centers_) == 220
+    np.testing.assert_allclose(model.noise_, dense.noise_, rtol=1e-8)
+    # Three rows at one state have a third of alpha.
+    K = model.kernel_(model.centers_)
+    weight = alpha / np.repeat([3.0, 2.0, 1.0], [20, 30, 170])
+    values = model.predict(model.centers_) + weight[:, np.newaxis] * model.dual_coef_
+    mean = Y + np.repeat([-0.2 / 3, 0.05, 0.0], [20, 30, 170])[:, np.newaxis]
+    np.testing.assert_allclose(values, mean, atol=1e-8)
+    assert K.shape == (220, 220)
+
+
+COMPACT = {
+    "square": SQUARE,
+    "curve": np.column_stack(
+        [np.cos(np.linspace(0, 6, 700)), np.sin(np.linspace(0, 9, 700))]
+    ),
+    "line in 10-D": np.outer(np.linspace(0, 1, 700), RNG.normal(size=10)),
+    "cube in 6-D": RNG.uniform(size=(700, 6)),
+    "interval": RNG.uniform(size=(700, 1)),
+    "lattice": np.stack(np.meshgrid(*2 * [np.arange(26) / 26]), -1).reshape(-1, 2),
+    "clusters": np.vstack([SQUARE[:350], 1e6 + SQUARE[350:]]),
+}
+
+
+@pytest.mark.parametrize("place", COMPACT)
+@pytest.mark.parametrize("preconditioner", ["auto", "banded", "neighbors"])
+def test_compact_support(place, preconditioner):
+    X = COMPACT[place]
+    beta = {"cube in 6-D": 0.6, "interval": 0.03}.get(place, 0.0625)
+    at = X[::31] + 0.01 * RNG.normal(size=X[::31].shape)
+    solver = ConjugateGradient(tol=1e-12, preconditioner=preconditioner)
+    model, _ = assert_agree(
+        X, outputs(X), at, solver, kernel="wendland_c2", beta=beta, alpha=1e-4
+    )
+    assert is_sparse(KernelSections(model.kernel_, X), X, _large.KEPT)
+    if preconditioner == "banded":  # a direct solution
+        assert model.n_iter_ <= 2
+
+
+@pytest.mark.parametrize("beta", [1e-8, 0.03, 10.0])
+@pytest.mark.parametrize("preconditioner", ["auto", "banded", "neighbors", "nystroem"])
+def test_identity_and_full_matrices(beta, preconditioner):
+    solver = ConjugateGradient(preconditioner=preconditioner)
+    for trend in (None, "linear"):
+        model, _ = assert_agree(
+            SQUARE,
+            outputs(SQUARE),
+            SQUARE[:20] + 0.01,
+            solver,
+            kernel="wendland_c0",
+            beta=beta,
+            alpha=1e-2,
+            trend=trend,
+        )
+        if beta < 1e-6 and trend is None:
+            np.testing.assert_allclose(
+                model.dual_coef_, outputs(SQUARE) / 1.01, rtol=1e-10
+            )
+
+
+@pytest.mark.parametrize("beta", [1e-8, 0.05, 0.08])
+@pytest.mark.parametrize("trend", [None, "linear"])
+def test_sparse_least_squares(beta, trend):
+    rows = np.random.default_rng(1).uniform(size=(1500, 2))
+    X = np.vstack([SQUARE, rows])
+    assert_agree(
+        X,
+        outputs(X),
+        rows[:30],
+        kernel="wendland_c2",
+        beta=beta,
+        alpha=1e-2,
+        trend=trend,
+        centers=SQUARE,
+        method="least_squares",
+    )
+
+
+@pytest.mark.parametrize("trend", [None, "constant", "linear"])
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 12])
+def test_fewer_centres_than_neighbours_and_polynomials(n, trend):
+    for y in (Y[:n], np.full((n, 1), 3.0)):
+        assert_agree(STATES[:n], y, ELSEWHERE, trend=trend)
+    assert_agree(
+        STATES,
+        Y,
+        ELSEWHERE,
+        trend=trend,
+        method="least_squares",
+        centers=STATES[:n],
+        alpha=0.1,
+    )
+
+
+@pytest.mark.parametrize("trend", [None, "constant", "linear"])
+def test_centres_on_a_line_in_many_dimensions(trend):
+    X = np.outer(np.linspace(0, 5, 150), np.random.default_rng(2).normal(size=10))
+    assert_agree(
+        X, outputs(X), X[:20] * 1.003, kernel="matern12", trend=trend, beta=2.0
+    )
+
+
+@pytest.mark.parametrize("trend", [None, "linear"])
+def test_clusters_far_apart(trend):
+    X = np.vstack([STATES[:100], STATES[100:] + 1e6])
+    assert_agree(X, Y, X[:30] + 0.01, trend=trend)
+
+
+def test_centres_that_nearly_coincide():
+    X = np.vstack([STATES, STATES[:5] + 1e-12])
+    y = np.vstack([Y, Y[:5]])
+    assert_agree(X, y, ELSEWHERE, alpha=1e-6)
+    # Not positive definite up to rounding, but for the roughest kernel.
+    assert_agree(X, y, ELSEWHERE, kernel="matern12")
+    with pytest.raises((ValueError, ConvergenceWarning), match=r"residual (of )?\d"):
+        KoopmanKernelRegressor(solver=ConjugateGradient()).fit(X, y)
+    X = np.vstack([SQUARE, SQUARE[:5] + 1e-12])
+    y = np.append(np.ones(700), np.zeros(5))
+    model = KoopmanKernelRegressor(
+        "wendland_c2", beta=0.1, solver=ConjugateGradient(preconditioner="banded")
+    )
+    with pytest.raises(ValueError, match=r"not positive definite.*separation"):
+        model.fit(X, y)
+
+
+@pytest.mark.parametrize("unit", [1e-200, 1e-100, 1e100, 1e200])
+@pytest.mark.parametrize("method", ["interpolation", "least_squares"])
+def test_units_of_the_states(unit, method):
+    centers = None if method == "interpolation" else SQUARE[:120] * unit
+    for kernel in ("matern32", "wendland_c2"):
+        if kernel == "wendland_c2" and not 1e-150 < unit < 1e150:
+            continue  # the kd-tree of SciPy squares distances
+        model = KoopmanKernelRegressor(
+            kernel,
+            beta=0.2 * unit,
+            method=method,
+            centers=centers,
+            alpha=1e-2,
+            solver=ConjugateGradient(),
+        ).fit(SQUARE * unit, outputs(SQUARE))
+        expected = clone(model).set_params(
+            beta=0.2, centers=None if centers is None else SQUARE[:120]
+        )
+        expected.fit(SQUARE, outputs(SQUARE))
+        np.testing.assert_allclose(
+            model.predict(SQUARE * unit), expected.predict(SQUARE), atol=1e-7
+        )
+        assert abs(model.n_iter_ - expected.n_iter_) <= 5
+
+
+@pytest.mark.parametrize("method", ["interpolation", "least_squares"])
+@pytest.mark.parametrize("trend", [None, "constant", "linear"])
+def test_units_of_the_outputs(method, trend):
+    scales = np.array([1e-200, 1e-160, 1.0, 1e12, 1e160, 1e200, 0.0])
+    model = KoopmanKernelRegressor(
+        beta=0.5,
+        solver=ConjugateGradient(),
+        method=method,
+        trend=trend,
+        alpha=1e-2,
+        centers=None if method == "interpolation" else STATES[:80],
+    )
+    one = clone(model).fit(STATES, Y[:, 0])
+    all_of_them = model.fit(STATES, Y[:, :1] * scales)
+    found, expected = all_of_them.predict(ELSEWHERE), one.predict(ELSEWHERE)
+    told = scales > 0
+    np.testing.assert_allclose(
+        found[:, told] / scales[told], np.tile(expected, (6, 1)).T, rtol=0, atol=1e-8
+    )
+    assert not found[:, ~told].any()
+    np.testing.assert_allclose(all_of_them.amplitude_, one.amplitude_ * scales)
+    assert 0 < all_of_them.residual_ <= 1e-10
+
+
+@pytest.mark.parametrize("value", [0.0, 3.0, -1e9])
+@pytest.mark.parametrize("method", ["interpolation", "least_squares"])
+def test_outputs_that_the_polynomials_tell(value, method):
+    centers = None if method == "interpolation" else STATES[:70]
+    for trend in ("constant", "linear"):
+        y = np.full(len(STATES), value)
+        if trend == "linear":
+            y = y + STATES @ [2.0, -1.0]
+        model = KoopmanKernelRegressor(
+            trend=trend, centers=centers, method=method, solver=ConjugateGradient()
+        ).fit(STATES, y)
+        np.testing.assert_allclose(
+            model.predict(STATES), y, rtol=1e-12, atol=1e-11 * np.abs(y).max()
+        )
+        np.testing.assert_allclose(model.dual_coef_, 0, atol=1e-9 * abs(y).max())
+
+
+def test_small_outputs_beside_a_large_constant():
+    y = 1e8 + Y
+    model, dense = both(STATES, y, trend="constant", beta=0.5)
+    np.testing.assert_allclose(
+        model.predict(ELSEWHERE), dense.predict(ELSEWHERE), rtol=1e-14
+    )
+
+
+def test_no_outputs_take_no_iterations():
+    model = KoopmanKernelRegressor(solver=ConjugateGradient()).fit(
+        STATES, np.zeros(220)
+    )
+    assert model.n_iter_ == 0
+    assert model.residual_ == 0.0
+    assert not model.predict(ELSEWHERE).any()
+
+
+def test_integer_fortran_ordered_and_flat_arrays():
+    X = np.random.default_rng(3).integers(0, 50, size=(100, 3))
+    X = np.unique(X, axis=0)
+    y = X[:, 0] % 7
+    model, _ = assert_agree(X, y, X[:20] + 0.5, beta=10.0)
+    assert model.dual_coef_.shape == (len(X),)
+    assert model.predict(X).shape == y.shape
+    assert np.ndim(model.amplitude_) == 0
+    other = clone(model).fit(np.asfortranarray(X), y)
+    np.testing.assert_allclose(other.dual_coef_, model.dual_coef_, rtol=1e-10)
+    column = clone(model).fit(X, y[:, np.newaxis])
+    assert column.predict(X).shape == (len(X), 1)
+
+
+@pytest.mark.parametrize("method", ["interpolation", "least_squares"])
+def test_threads(method):
+    centers = None if method == "interpolation" else STATES[:63]
+    parameters = {"beta": 0.5, "method": method, "centers": centers, "alpha": 0.1}
+    alone = KoopmanKernelRegressor(solver=ConjugateGradient(), **parameters)
+    shared = clone(alone).set_params(n_jobs=2)
+    alone.fit(STATES, Y)
+    shared.fit(STATES, Y)
+    np.testing.assert_allclose(shared.dual_coef_, alone.dual_coef_, rtol=1e-6)
+    np.testing.assert_allclose(
+        shared.predict(ELSEWHERE), alone.predict(ELSEWHERE), rtol=1e-9
+    )
+
+
+@pytest.mark.parametrize("n", [50, 60, 63])
+def test_just_below_the_height_of_a_tile(n):
+    assert_agree(STATES[:n], Y[:n], ELSEWHERE)
+
+
+# What is said of convergence.
+
+
+@pytest.mark.parametrize("tol", [1e-2, 1e-5, 1e-9])
+@pytest.mark.parametrize("trend", [None, "linear"])
+def test_residual_is_the_true_one(tol, trend):
+    solver = ConjugateGradient(tol=tol, preconditioner="neighbors", n_neighbors=3)
+    model = KoopmanKernelRegressor(
+        beta=1.0, alpha=1e-3, trend=trend, solver=solver
+    ).fit(STATES, Y)
+    K = model.kernel_(STATES) + 1e-3 * np.eye(220)
+    residual, size = Y - K @ model.dual_coef_, Y
+    if trend is not None:
+        P = np.column_stack([np.ones(220), STATES])
+        Q, _ = np.linalg.qr(P)
+        residual, size = residual - Q @ (Q.T @ residual), Y - Q @ (Q.T @ Y)
+        np.testing.assert_allclose(P.T @ model.dual_coef_, 0, atol=1e-10)
+    true = (np.linalg.norm(residual, axis=0) / np.linalg.norm(size, axis=0)).max()
+    assert model.residual_ == pytest.approx(true, rel=1e-3)
+    assert 1e-4 * tol < true <= tol
+    assert model.n_iter_ >= 1
+
+
+def test_a_tighter_tolerance_takes_more_iterations():
+    def fitted(tol):
+        return KoopmanKernelRegressor(solver=ConjugateGradient(tol=tol)).fit(STATES, Y)
+
+    assert fitted(1e-2).n_iter_ < fitted(1e-5).n_iter_ < fitted(1e-11).n_iter_
+
+
+def test_too_few_iterations():
+    solver = ConjugateGradient(max_iter=2)
+    model = KoopmanKernelRegressor(solver=solver, beta=3.0)
+    with pytest.warns(ConvergenceWarning, match=r"ended after 2 iter.*max_iter"):
+        model.fit(STATES, Y)
+    assert model.n_iter_ == 2
+    assert 1e-10 < model.residual_ < 1
+    dense = KoopmanKernelRegressor(beta=3.0).fit(STATES, Y)
+    with pytest.warns(ConvergenceWarning, match=r"power function is too large"):
+        P = model.power_function(ELSEWHERE)
+    # Too large, never too small.
+    expected = dense.power_function(ELSEWHERE)
+    assert (P - expected).min() > -1e-9
+    assert P.max() > expected.max() + 1e-4
+    assert (P <= 1 + 1e-12).all()
+    with pytest.warns(ConvergenceWarning, match=r"power function is too large"):
+        model.predict(ELSEWHERE, return_std=True)
+
+
+def test_tolerance_below_rounding():
+    model = KoopmanKernelRegressor(solver=ConjugateGradient(tol=1e-17), beta=0.3)
+    with pytest.warns(ConvergenceWarning, match=r"tol=1.0e-17"):
+        model.fit(STATES, Y)
+    assert model.residual_ < 1e-14
+    dense = KoopmanKernelRegressor(beta=0.3).fit(STATES, Y)
+    np.testing.assert_allclose(
+        model.predict(ELSEWHERE), dense.predict(ELSEWHERE), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("trend", [None, "linear"])
+def test_singular_matrices_are_not_passed_over(trend):
+    model = KoopmanKernelRegressor(
+        "gaussian", trend=trend, solver=ConjugateGradient(max_iter=100)
+    )
+    # Where rounding leads to is chance; that it is told is not.
+    with pytest.raises((ValueError, ConvergenceWarning), match=r"residual .*alpha"):
+        model.fit(STATES, Y)
+    assert not hasattr(model, "dual_coef_")
+    with pytest.warns(ConvergenceWarning):
+        model.set_params(method="least_squares", centers=STATES[:50]).fit(STATES, Y)
+    # Whatever the weights, the power function is finite, and no less than zero.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        P = model.power_function(ELSEWHERE)
+    assert (P >= 0).all()
+    if trend is None:
+        assert (P <= 1).all()
+
+
+@pytest.mark.parametrize(
+    ("kernel", "alpha"), [("matern32", 0.0), ("wendland_c4", 0.3), ("gaussian", 1e-3)]
+)
+@pytest.mark.parametrize("trend", [None, "linear"])
+def test_standard_deviation(kernel, alpha, trend):
+    model, dense = both(STATES, Y, kernel=kernel, alpha=alpha, beta=0.5, trend=trend)
+    X = np.vstack([ELSEWHERE, STATES[:10], STATES[:5] + 30.0])
+    found, expected = (m.predict(X, return_std=True)[1] for m in (model, dense))
+    assert found.shape == (40, 3)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
+
+
+def test_many_rows_of_the_power_function(monkeypatch):
+    monkeypatch.setattr(_large, "POWER_ROWS", 7)
+    model, dense = both(STATES, Y, beta=0.5)
+    X = np.vstack([ELSEWHERE, ELSEWHERE + 0.1])
+    np.testing.assert_allclose(
+        model.power_function(X), dense.power_function(X), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("trend", [None, "constant"])
+@pytest.mark.parametrize("method", ["interpolation", "least_squares"])
+def test_pickle(trend, method):
+    model = KoopmanKernelRegressor(
+        "wendland_c2",
+        beta=0.1,
+        trend=trend,
+        method=method,
+        centers=None if method == "interpolation" else SQUARE[:600],
+        alpha=0.01,
+        solver=ConjugateGradient(),
+    ).fit(SQUARE, outputs(SQUARE))
+    at = SQUARE[:9] + 0.01
+    P = model.power_function(at)
+    data = pickle.dumps(model)
+    assert len(data) < 100_000
+    loaded = pickle.loads(data)
+    np.testing.assert_array_equal(loaded.predict(at), model.predict(at))
+    np.testing.assert_allclose(loaded.power_function(at), P, atol=1e-9)
+    assert loaded.n_iter_ == model.n_iter_
+
+
+# The estimator's interface.
+
+
+def test_solver_is_cloned_and_tuned():
+    solver = ConjugateGradient(tol=1e-3)
+    model = KoopmanKernelRegressor(solver=solver).fit(STATES, Y)
+    assert model.solver_ is not solver
+    assert model.solver_.get_params() == solver.get_params()
+    search = GridSearchCV(
+        KoopmanKernelRegressor(solver=solver, beta=0.5),
+        {"solver__tol": [0.5, 1e-9], "solver__n_neighbors": [1, 8]},
+        error_score="raise",
+    ).fit(STATES, Y)
+    assert search.best_params_["solver__tol"] == 1e-9
+    assert solver.tol == 1e-3
+    assert clone(solver).get_params() == solver.get_params()
+
+
+def test_results_do_not_depend_on_the_order_of_fits():
+    solver = ConjugateGradient(random_state=np.random.RandomState(5))
+    model = KoopmanKernelRegressor("gaussian", alpha=0.1, solver=solver)
+    first = model.fit(STATES, Y).dual_coef_
+    np.testing.assert_array_equal(model.fit(STATES, Y).dual_coef_, first)
+
+
+def test_dense_fit_after_an_iterative_one():
+    model = KoopmanKernelRegressor(solver=ConjugateGradient()).fit(STATES, Y)
+    model.set_params(solver="auto").fit(STATES, Y)
+    assert model.solver_ == "pivoted_cholesky"
+    assert not hasattr(model, "n_iter_")
+    assert not hasattr(model, "residual_")
+    assert hasattr(model, "rcond_")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("tol", 0.0),
+        ("tol", -1e-3),
+        ("tol", np.nan),
+        ("tol", 1.0),
+        ("tol", "small"),
+        ("max_iter", 0),
+        ("max_iter", 2.5),
+        ("rank", 0),
+        ("rank", True),
+        ("n_neighbors", 0),
+        ("preconditioner", "ilu"),
+        ("preconditioner", None),
+        ("preconditioner", ["auto"]),
+        ("random_state", -1),
+        ("random_state", "seed"),
+    ],
+)
+def test_bad_parameters_are_named(name, value):
+    model = KoopmanKernelRegressor(solver=ConjugateGradient(**{name: value}))
+    with pytest.raises(
+        ValueError, match=rf"solver\.{name} .*{str(value).strip(chr(91))[:4]}"
+    ):
+        model.fit(STATES, Y)
+
+
+def test_what_conjugate_gradients_cannot_do():
+    solver = ConjugateGradient()
+    with pytest.raises(ValueError, match=r"solver must be .* got ConjugateGradient"):
+        KernelEDMD(solver=solver).fit(STATES)
+    with pytest.raises(ValueError, match=r"solver=ConjugateGradient\(\) needs the st"):
+        KoopmanKernelRegressor(solver=solver, centers="precomputed").fit(
+            np.abs(STATES), Y
+        )
+    banded = ConjugateGradient(preconditioner="banded")
+    with pytest.raises(ValueError, match=r"no compact support.*banded"):
+        KoopmanKernelRegressor(solver=banded).fit(STATES, Y)
+    model = KoopmanKernelRegressor(solver=solver)
+    with pytest.raises(AttributeError, match="partial_fit"):
+        model.partial_fit(STATES, Y)
+    model.fit(STATES, Y)
+    with pytest.raises(ValueError, match=r"error_bound .* conjugate gradients"):
+        model.error_bound(STATES)
+    with pytest.raises(ValueError, match="solver must be one of"):
+        model.set_params(solver=ConjugateGradient).fit(STATES, Y)
+    with pytest.raises(ValueError, match="20 rows and 40 centres"):
+        KoopmanKernelRegressor(
+            solver=solver, method="least_squares", centers=STATES[:40]
+        ).fit(STATES[:20], Y[:20])
+
+
+def test_auto_for_what_does_not_fit(monkeypatch):
+    def solver_of(kernel="matern32", X=STATES):
+        return KoopmanKernelRegressor(kernel, beta=0.5).fit(X, outputs(X)).solver_
+
+    assert solver_of() == "pivoted_cholesky"
+    # A matrix of 220 x 220 with the room to factor it takes 500 kB.
+    monkeypatch.setattr(_large, "_physical_memory", lambda: 2 * 500_000)
+    assert isinstance(solver_of(), ConjugateGradient)
+    monkeypatch.setattr(_large, "_physical_memory", lambda: 2 * 510_000)
+    assert solver_of() == "pivoted_cholesky"
+    monkeypatch.undo()
+    monkeypatch.setattr(_large, "DENSE_CENTERS", 699)
+    sections = KernelSections(Wendland(0.02, 2, 3), SQUARE)
+    assert _large.is_large(sections, SQUARE)
+    assert not _large.is_large(KernelSections(Wendland(0.5, 2, 3), SQUARE), SQUARE)
+    assert not _large.is_large(KernelSections(MaternSobolev(0.02), SQUARE), SQUARE)
+    monkeypatch.setattr(_large, "DENSE_CENTERS", 700)
+    assert not _large.is_large(sections, SQUARE)
+
+
+# The parts.
+
+
+def spd(n, condition, seed=0):
+    rng = np.random.default_rng(seed)
+    Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
+    return (Q * np.logspace(0, -np.log10(condition), n)) @ Q.T
+
+
+def test_conjugate_gradients_end_after_as_many_steps_as_eigenvalues():
+    Q, _ = np.linalg.qr(np.random.default_rng(4).normal(size=(60, 60)))
+    A = (Q * np.repeat([1.0, 2.0, 5.0, 9.0], 15)) @ Q.T
+    b = np.random.default_rng(5).normal(size=(60, 2))
+    found = conjugate_gradients(
+        A.__matmul__, b, lambda v: v, np.empty((60, 0)), 1e-12, 100
+    )
+    assert found.n_iter == 4
+    np.testing.assert_allclose(found.x, np.linalg.solve(A, b), rtol=1e-10, atol=1e-12)
+
+
+def test_columns_stop_on_their_own():
+    A = spd(50, 1e3)
+    rng = np.random.default_rng(6)
+    eigenvector = np.linalg.eigh(A)[1][:, :1]
+    b = np.hstack([eigenvector, np.zeros((50, 1)), 1e6 * rng.normal(size=(50, 1))])
+    widths = []
+
+    def counted(V):
+        widths.append(V.shape[1])
+        return A @ V
+
+    found = conjugate_gradients(counted, b, lambda v: v, np.empty((50, 0)), 1e-10, 500)
+    assert widths[:3] == [2, 1, 1]
+    np.testing.assert_allclose(A @ found.x, b, atol=1e-3)
+    np.testing.assert_allclose(A @ found.x[:, 0], b[:, 0], atol=1e-9)
+    assert not found.x[:, 1].any()
+    assert found.residual <= 1e-10
+
+
+def test_residual_that_drifts_is_computed_anew():
+    A = spd(40, 1e6)
+    b = np.random.default_rng(7).normal(size=(40, 1))
+    found = conjugate_gradients(
+        A.__matmul__, b, lambda v: v, np.empty((40, 0)), 1e-9, 4000
+    )
+    true = np.linalg.norm(b - A @ found.x) / np.linalg.norm(b)
+    assert found.residual == pytest.approx(true, rel=0.05)
+    assert true < 1.01e-9
+
+
+def test_iterations_are_limited_over_restarts():
+    calls = []
+    A = spd(40, 1e12)
+
+    def counted(V):
+        calls.append(1)
+        return A @ V
+
+    b = np.random.default_rng(8).normal(size=(40, 1))
+    found = conjugate_gradients(counted, b, lambda v: v, np.empty((40, 0)), 1e-15, 37)
+    assert found.n_iter == 37
+    assert len(calls) <= 37 + 3
+    assert found.residual > 1e-15
+
+
+def test_restarts_count_as_iterations():
+    A = spd(40, 1e6)
+    b = np.random.default_rng(8).normal(size=(40, 1))
+
+    def solved(max_iter):
+        return conjugate_gradients(
+            A.__matmul__, b, lambda v: v, np.empty((40, 0)), 1e-14, max_iter
+        )
+
+    free = solved(10_000)
+    for fewer in (1, 5, 20, 40):
+        assert solved(free.n_iter - fewer).n_iter <= free.n_iter - fewer
+
+
+def test_solution_in_the_complement():
+    A = spd(30, 1e4)
+    P, _ = np.linalg.qr(np.random.default_rng(9).normal(size=(30, 3)))
+    b = np.random.default_rng(10).normal(size=(30, 2))
+    M = np.diag(np.linspace(1, 2, 30))
+    found = conjugate_gradients(A.__matmul__, b, M.__matmul__, P, 1e-12, 500)
+    full = np.block([[A, P], [P.T, np.zeros((3, 3))]])
+    expected = np.linalg.solve(full, np.vstack([b, np.zeros((3, 2))]))[:30]
+    np.testing.assert_allclose(found.x, expected, rtol=1e-7, atol=1e-8)
+    np.testing.assert_allclose(P.T @ found.x, 0, atol=1e-10)
+
+
+def test_residual_above_that_of_nothing_is_divergence(monkeypatch):
+    def worse(*_):
+        return Converged(np.zeros((220, 3)), 7, 1.5)
+
+    monkeypatch.setattr(_large, "conjugate_gradients", worse)
+    model = KoopmanKernelRegressor(solver=ConjugateGradient())
+    with pytest.raises(ValueError, match=r"No estimate.*diverge .*1\.5e\+00.*alpha"):
+        model.fit(STATES, Y)
+    assert not hasattr(model, "dual_coef_")
+
+
+@pytest.mark.parametrize("value", [1e3, np.nan])
+def test_weights_that_diverge_leave_the_power_function_sound(monkeypatch, value):
+    for trend in (None, "linear"):
+        model = KoopmanKernelRegressor(
+            "matern12", beta=0.2, trend=trend, solver=ConjugateGradient()
+        ).fit(STATES, Y)
+        exact = model.power_function(ELSEWHERE)
+        with monkeypatch.context() as patch:
+            patch.setattr(
+                _large,
+                "conjugate_gradients",
+                lambda product, b, *_: Converged(np.full_like(b, value), 7, value),
+            )
+            with pytest.warns(ConvergenceWarning, match="power function is too large"):
+                P = model.power_function(ELSEWHERE)
+        if trend is None:
+            np.testing.assert_allclose(P, 1.0)
+        else:
+            # Weights that reproduce the polynomials, and no more.
+            T = np.column_stack([np.ones(220), STATES])
+            w = T @ np.linalg.solve(
+                T.T @ T, np.column_stack([np.ones(25), ELSEWHERE]).T
+            )
+            k = model.kernel_(STATES, ELSEWHERE)
+            quadratic = np.einsum("ij,ij->j", w, model.kernel_(STATES) @ w - 2 * k)
+            np.testing.assert_allclose(P, np.sqrt(1 + quadratic), rtol=1e-8)
+        assert (P - exact).min() > 0
+
+
+def test_indefinite_matrix_leaves_a_residual():
+    A = np.diag(np.r_[np.ones(5), -np.ones(5)])
+    b = np.ones((10, 1))
+    found = conjugate_gradients(
+        A.__matmul__, b, lambda v: v, np.empty((10, 0)), 1e-10, 50
+    )
+    assert not found.residual <= 1e-10
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 7, 64, 100, 1000])
+def test_order_is_a_permutation_from_coarse_to_fine(n):
+    points = np.random.default_rng(11).uniform(size=(n, 2))
+    order = _coarse_to_fine(points)
+    assert sorted(order) == list(range(n))
+    if n == 1000:
+        # The first 30 cover the square; the first 30 in the order of a kd-tree's
+        # leaves would lie in one corner.
+        first = points[order[:30]]
+        gap = np.linalg.norm(points[:, None] - first, axis=-1).min(axis=1).max()
+        assert gap < 0.35
+
+
+@pytest.mark.parametrize("k", [0, 1, 5, 30])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_nearest_predecessors(k, seed):
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=(400, 3))
+    if seed:  # sorted, so that many neighbours are no predecessors
+        x = x[np.argsort(-np.abs(x[:, 0]))]
+    found = _nearest_predecessors(x, k)
+    assert found.shape == (400 - k, k)
+    distances = np.linalg.norm(x[:, np.newaxis] - x, axis=-1)
+    for i in range(k, 400):
+        expected = np.argsort(distances[i, :i])[:k]
+        assert set(found[i - k]) == set(expected)
+
+
+@pytest.mark.parametrize("kernel", [MaternSobolev(0.5, 0.5), RBF(0.1)])
+def test_all_predecessors_make_an_exact_inverse(kernel):
+    points, diagonal = STATES[:80], np.linspace(1.1, 1.5, 80)
+    K = kernel(points)
+    K[np.diag_indices(80)] = diagonal
+    W = neighbor_preconditioner(kernel, points, diagonal, 200).toarray()
+    np.testing.assert_allclose(W @ K @ W.T, np.eye(80), atol=1e-10)
+    # With fewer, the rows are still of unit variance (the diagonal is exact).
+    W = neighbor_preconditioner(kernel, points, diagonal, 6).toarray()
+    assert (np.count_nonzero(W, axis=1) <= 7).all()
+    np.testing.assert_allclose(np.diag(W @ K @ W.T), 1, atol=1e-10)
+
+
+def test_exponential_kernel_on_a_line_needs_two_neighbours():
+    # A Markov process: of predecessors, only the nearest on both sides matter.
+    points = np.sort(np.random.default_rng(12).uniform(size=(200, 1)), axis=0)
+    kernel = MaternSobolev(0.3, 0.5)
+    K = kernel(points)
+    W = neighbor_preconditioner(kernel, points, np.ones(200), 12).toarray()
+    np.testing.assert_allclose(W @ K @ W.T, np.eye(200), atol=1e-9)
+
+
+def test_preconditioner_of_centres_that_coincide():
+    points = np.vstack([STATES[:40], STATES[:10], STATES[:10] + 1e-15])
+    W = neighbor_preconditioner(MaternSobolev(1.0), points, np.ones(60), 12)
+    assert np.isfinite(W.toarray()).all()
+    assert (np.count_nonzero(W.toarray(), axis=1) > 1).sum() == 59
+
+
+def test_preconditioner_does_not_depend_on_the_unit():
+    kernel = MaternSobolev
+    expected = neighbor_preconditioner(kernel(1.0), STATES, np.ones(220), 9).toarray()
+    for unit in (1e-250, 1e250):
+        found = neighbor_preconditioner(kernel(unit), STATES * unit, np.ones(220), 9)
+        np.testing.assert_allclose(found.toarray(), expected, rtol=1e-6, atol=1e-9)
+
+
+def test_blocks_of_the_preconditioner(monkeypatch):
+    kernel = MaternSobolev(1.0)
+    expected = neighbor_preconditioner(kernel, STATES, np.ones(220), 9).toarray()
+    monkeypatch.setattr("sklearn_koopman._iterative.BATCH", 1000)
+    found = neighbor_preconditioner(kernel, STATES, np.ones(220), 9).toarray()
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("rank", [1, 7, 40, 300])
+def test_pivoted_factor(rank):
+    K = RBF(0.5)(STATES)
+    random = np.random.RandomState(0)
+    F, left = pivoted_factor(lambda p: K[:, p].copy(), K.diagonal(), rank, random)
+    assert F.shape[1] <= rank
+    rest = K - F @ F.T
+    assert np.linalg.eigvalsh(rest).min() > -1e-11
+    assert left == pytest.approx(rest.diagonal().mean(), abs=1e-12)
+    if rank == 300:
+        np.testing.assert_allclose(rest, 0, atol=1e-6)
+    if rank == 40:
+        best = np.linalg.eigvalsh(K)[:-40].sum() / 220
+        assert left < 30 * best
+
+
+def test_pivoted_factor_of_low_rank_matrix():
+    A = np.random.default_rng(13).normal(size=(100, 4))
+    K = A @ A.T
+    F, left = pivoted_factor(
+        lambda p: K[:, p].copy(), K.diagonal(), 50, np.random.RandomState(0)
+    )
+    np.testing.assert_allclose(F @ F.T, K, atol=1e-6)
+    assert left < 1e-10
+    F, left = pivoted_factor(
+        lambda p: K[:, p].copy(), np.zeros(100), 50, np.random.RandomState(0)
+    )
+    assert F.shape == (100, 0)
+    assert left == 0
+
+
+@pytest.mark.parametrize("shift", [1e-9, 1e-3, 10.0])
+@pytest.mark.parametrize("rank", [0, 1, 8])
+def test_low_rank_inverse(shift, rank):
+    rng = np.random.default_rng(14)
+    F, v = rng.normal(size=(30, rank)), rng.normal(size=(30, 2))
+    A = F @ F.T + shift * np.eye(30)
+    found = low_rank_inverse(F, shift)(v)
+    np.testing.assert_allclose(A @ found, v, atol=1e-13 * rank**2 / shift + 1e-13)
+
+
+@pytest.mark.parametrize("n_features", range(1, 11))
+def test_sparse_gram_and_cross_matrices(n_features):
+    rng = np.random.default_rng(15)
+    points, X = rng.uniform(size=(150, n_features)), rng.uniform(size=(40, n_features))
+    X[:5] = points[:5]
+    kernel = Wendland(0.4 * np.sqrt(n_features), 2, max(n_features, 3))
+    diagonal = np.linspace(1, 2, 150)
+    K = gram(kernel, kd_tree(kernel, points), points, diagonal)
+    expected = kernel(points)
+    share = np.mean(expected != 0)
+    expected[np.diag_indices(150)] = diagonal
+    np.testing.assert_allclose(K.toarray(), expected, rtol=1e-9, atol=1e-14)
+    tree = kd_tree(kernel, points)
+    found = cross(kernel, X, points, tree)
+    np.testing.assert_allclose(
+        found.toarray(), kernel(X, points), rtol=1e-9, atol=1e-14
+    )
+    assert density(kernel, tree, points) == pytest.approx(share)
+    assert 0 < density(kernel, tree, np.vstack([points] * 7)) < 1
+
+
+def test_sparse_blocks(monkeypatch):
+    kernel = Wendland(0.2, 2, 3)
+    tree = kd_tree(kernel, SQUARE)
+    expected = kernel(SQUARE)
+    monkeypatch.setattr("sklearn_koopman._sparse.BLOCK", 1000)
+    for K in (
+        gram(kernel, tree, SQUARE, np.ones(700)),
+        cross(kernel, SQUARE, SQUARE, tree),
+    ):
+        np.testing.assert_allclose(K.toarray(), expected, rtol=1e-10, atol=1e-14)
+
+
+def test_band_of_a_shuffled_curve():
+    order = np.random.default_rng(16).permutation(300)
+    t = np.arange(300)[order]
+    points = np.column_stack([np.cos(t / 60), np.sin(t / 60)])
+    kernel = Wendland(0.1, 2, 3)  # six neighbours on both sides
+    K = gram(kernel, kd_tree(kernel, points), points, np.full(300, 1.1))
+    order, width = bandwidth(K)
+    assert sorted(order) == list(range(300))
+    assert width <= 12
+    dense = K.toarray()[np.ix_(order, order)]
+    i, j = np.nonzero(dense)
+    assert width == np.abs(i - j).max()
+    b = np.random.default_rng(17).normal(size=(300, 2))
+    np.testing.assert_allclose(K @ banded_solver(K, order, width)(b), b, atol=1e-11)
+
+
+def test_diagonal_matrix_has_no_band():
+    points = 10.0 * np.arange(20)[:, np.newaxis]
+    kernel = Wendland(1.0)
+    K = gram(kernel, kd_tree(kernel, points), points, np.full(20, 4.0))
+    order, width = bandwidth(K)
+    assert width == 0
+    b = np.arange(20.0)[:, np.newaxis]
+    np.testing.assert_allclose(banded_solver(K, order, width)(b), b / 4)
+
+
+def test_wide_bands_are_not_factored(monkeypatch):
+    def preconditioned(**parameters):
+        sections = KernelSections(Wendland(0.12, 2, 3), SQUARE)
+        solver = ConjugateGradient(**parameters)
+        return _large.ImplicitBasis.of(sections, np.zeros(700), None, solver)
+
+    assert preconditioned().W is None
+    assert preconditioned().solve(Y[:1].repeat(700, axis=0)).n_iter <= 2
+    monkeypatch.setattr(_large, "BANDED_WORK", 1e4)
+    assert preconditioned().W is not None
+    assert preconditioned(preconditioner="banded").W is None
+    rows = np.diff(preconditioned().W.indptr)
+    assert rows.max() == 11
+    rows = np.diff(preconditioned(n_neighbors=4).W.indptr)
+    assert rows.max() == 5
+
+
+def test_neighbours_of_kernels_without_compact_support():
+    sections = KernelSections(MaternSobolev(0.5), SQUARE)
+    basis = _large.ImplicitBasis.of(sections, np.zeros(700), None, ConjugateGradient())
+    assert np.diff(basis.W.indptr).max() == 31
+
+
+@pytest.mark.parametrize("name", ["matern12", "matern32", "matern52", "wendland_c2"])
+def test_iterations_stay_few(name):
+    X = np.random.default_rng(18).uniform(size=(1500, 2))
+    model = KoopmanKernelRegressor(
+        name, beta=0.3, solver=ConjugateGradient(preconditioner="neighbors")
+    ).fit(X, outputs(X))
+    assert model.n_iter_ < 40
+
+
+def test_more_rows_per_centre_take_no_more_iterations():
+    X = np.random.default_rng(20).uniform(size=(3000, 2))
+    model = KoopmanKernelRegressor(
+        alpha=0.1, centers=X[:100], method="least_squares", solver=ConjugateGradient()
+    )
+    assert model.fit(X, outputs(X)).n_iter_ < 40
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_every_kernel(name):
+    assert_agree(
+        SQUARE[:300],
+        outputs(SQUARE[:300]),
+        SQUARE[300:330],
+        kernel=name,
+        beta=0.3,
+        alpha=1e-3,
+        trend="constant",
+    )
+
+
+def test_many_features():
+    X = np.random.default_rng(19).normal(size=(200, 8))
+    assert_agree(X, outputs(X), X[:20] + 0.1, beta=4.0, alpha=0.1, trend="linear")
+    assert_agree(
+        X,
+        outputs(X),
+        X[:20] + 0.1,
+        beta=4.0,
+        alpha=0.1,
+        centers=X[:70],
+        method="least_squares",
+    )
