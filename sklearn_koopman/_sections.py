@@ -304,13 +304,6 @@ def one_thread() -> Any:
     return _controller().limit(limits=1, user_api="blas")
 
 
-def blas_threads() -> int:
-    """Return how many threads BLAS takes."""
-    pools = _controller().info()
-    threads = [pool["num_threads"] for pool in pools if pool["user_api"] == "blas"]
-    return max(threads, default=1)
-
-
 @cache
 def _controller() -> ThreadpoolController:
     return ThreadpoolController()

@@ -29,7 +29,7 @@ from sklearn_koopman._crossval import (
 )
 from sklearn_koopman._growth import DEGREES
 from sklearn_koopman._heldout import Fold
-from sklearn_koopman._sections import blas_threads, one_thread
+from sklearn_koopman._sections import one_thread
 from sklearn_koopman._validation import check_number
 from sklearn_koopman.kernels import RadialKernel, as_kernel
 from sklearn_koopman.regression import KoopmanKernelRegressor
@@ -88,9 +88,10 @@ default=None
           scores averaged.
     n_jobs : int, default=None
         Number of threads: for kernels and scales in `fit`, each with a matrix of its
-        own, and for predictions. None means, in `fit`, as many as BLAS would take, and
-        1 for predictions, unless in a :obj:`joblib.parallel_config` context. -1 means
-        all processors.
+        own and with BLAS held to one thread, and for predictions. Where SciPy's LAPACK
+        keeps other threads waiting, None is the faster for `fit`: it means 1, and
+        BLAS with its own threads, unless in a :obj:`joblib.parallel_config` context.
+        -1 means all processors.
 
     Attributes
     ----------
@@ -291,16 +292,11 @@ default=None
         distances = search.distances() if radial else None
 
         run = partial(self._scored, search, scorer, y, alphas, distances)
-        # Factorisations side by side take less time than one after the other on
-        # several threads of BLAS.
-        n_jobs = self.n_jobs
-        if n_jobs is None and effective_n_jobs(n_jobs) == 1:
-            n_jobs = blas_threads()
-        if effective_n_jobs(n_jobs) == 1:
+        if effective_n_jobs(self.n_jobs) == 1:
             scored = [run(kernel) for kernel in candidates]
         else:
             with one_thread():
-                scored = Parallel(n_jobs=n_jobs, prefer="threads")(
+                scored = Parallel(n_jobs=self.n_jobs, prefer="threads")(
                     delayed(run)(kernel) for kernel in candidates
                 )
         params, outcomes = [], []
