@@ -22,9 +22,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm, dsyrk
-from scipy.linalg.lapack import dpocon, dposv, dpotrf, dsyevd, dtrtri
+from scipy.linalg.lapack import dpocon, dposv, dsyevd, dtrtri
 
-from sklearn_koopman._native import SINGULAR, solve_triangular
+from sklearn_koopman._native import SINGULAR, cholesky, solve_triangular
 from sklearn_koopman._normal import SUSPECT
 from sklearn_koopman._solvers import ACCURACY
 
@@ -220,7 +220,7 @@ def factor(K: Array, diagonal: Array) -> Array:
     """
     F = np.array(K.T, order="F")
     F[np.diag_indices(len(F))] += diagonal
-    lower, info = dpotrf(F, lower=1, clean=1, overwrite_a=1)
+    lower, info = cholesky(F, lower=True, clean=True)
     if info != 0:
         raise np.linalg.LinAlgError("the Gram matrix is not positive definite")
     pivots = lower.diagonal()

@@ -219,10 +219,10 @@ def solve_triangular(
     return x
 
 
-def cholesky(K: Array, *, lower: bool) -> tuple[Array, int]:
+def cholesky(K: Array, *, lower: bool, clean: bool = False) -> tuple[Array, int]:
     """Factor one triangle of a matrix in place; not zero if that is impossible."""
     with one_thread() if K.nbytes >= LARGE else nullcontext():
-        factor, info = dpotrf(K, lower=int(lower), clean=0, overwrite_a=1)
+        factor, info = dpotrf(K, lower=int(lower), clean=int(clean), overwrite_a=1)
     return factor, info
 
 

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm, dsyrk
-from scipy.linalg.lapack import dpocon, dposv, dpotrf, dsyevd
+from scipy.linalg.lapack import dpocon, dposv, dsyevd
 from sklearn.utils import gen_batches
 
 from sklearn_koopman._heldout import (
@@ -27,7 +27,7 @@ from sklearn_koopman._heldout import (
     cheapest,
     completed,
 )
-from sklearn_koopman._native import solve_triangular
+from sklearn_koopman._native import cholesky, solve_triangular
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -73,7 +73,7 @@ class Regression:
         """
         F = self.regular(N, alpha)
         norm = float(np.trace(F))
-        lower, info = dpotrf(F, lower=1, clean=1, overwrite_a=1)
+        lower, info = cholesky(F, lower=True, clean=True)
         limit = min(1e-13, 1e-6 * self.rcond)
         if info or dpocon(lower, norm, uplo="L")[0] < limit:
             raise np.linalg.LinAlgError(
