@@ -329,7 +329,11 @@ def residual(matrix, X, y, dual):
 
 
 def solver_notes(model):
-    names = {"solver_": "by", "n_iter_": "iterations", "residual_": "stated residual"}
+    names = {
+        "solver_": "by",
+        "n_iter_": "iterations",
+        "solver_residual_": "stated residual",
+    }
     found = {names[key]: getattr(model, key, None) for key in names}
     return {
         key: f"{value:.2g}"

@@ -42,7 +42,7 @@ from sklearn_koopman import (
     KernelEDMD,
     SeparatedCenterSelector,
     TrajectoryKFold,
-    forecast_score,
+    make_forecast_scorer,
     trajectory_pairs,
 )
 from sklearn_koopman.datasets import make_walking
@@ -165,7 +165,7 @@ def main(arguments=None):
             "koopman__beta": [2.0, 3.0],
             "koopman__alpha": [1e-3, 1e-2],
         },
-        scoring=forecast_score(N_STEPS, relift=True),
+        scoring=make_forecast_scorer(N_STEPS, relift=True),
         cv=TrajectoryKFold(3),
         n_jobs=2,
         verbose=1,

@@ -3,7 +3,7 @@
 from sklearn_koopman.centers import SeparatedCenterSelector
 from sklearn_koopman.edmd import KernelEDMD
 from sklearn_koopman.regression import KoopmanKernelRegressor
-from sklearn_koopman.scoring import forecast_score, valid_horizon
+from sklearn_koopman.scoring import make_forecast_scorer, make_valid_time_scorer
 from sklearn_koopman.search import KoopmanKernelRegressorCV
 from sklearn_koopman.trajectories import TrajectoryKFold, trajectory_pairs
 
@@ -13,9 +13,9 @@ __all__ = [
     "KoopmanKernelRegressorCV",
     "SeparatedCenterSelector",
     "TrajectoryKFold",
-    "forecast_score",
+    "make_forecast_scorer",
+    "make_valid_time_scorer",
     "trajectory_pairs",
-    "valid_horizon",
 ]
 
 __version__ = "0.1.0"

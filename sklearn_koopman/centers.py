@@ -22,12 +22,16 @@ from sklearn.utils import check_array
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman._validation import check_integer, check_magnitude, check_number
+from sklearn_koopman._utils._rows import distinct_rows
+from sklearn_koopman._utils._typing import Array, Indices
+from sklearn_koopman._utils._validation import (
+    check_integer,
+    check_magnitude,
+    check_number,
+)
 
 __all__ = ["SeparatedCenterSelector"]
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 # Rows gone through at a time, so that temporary arrays stay small and in the cache.
 CHUNK = 2**14
@@ -454,55 +458,6 @@ def choose_centers(
                 "centres among the rows (SeparatedCenterSelector does)."
             )
     return points, rows
-
-
-def distinct_rows(X: Array) -> tuple[Indices, Indices, Indices]:
-    """Find equal rows.
-
-    Parameters
-    ----------
-    X : ndarray of shape (n_samples, n_features)
-        The rows.
-
-    Returns
-    -------
-    first : ndarray of shape (n_distinct,)
-        The first of each lot of equal rows, in rising order.
-    group : ndarray of shape (n_samples,)
-        Which of them each row equals.
-    counts : ndarray of shape (n_distinct,)
-        How many rows equal each of them.
-    """
-    _, first, group, counts = np.unique(
-        X, axis=0, return_index=True, return_inverse=True, return_counts=True
-    )
-    # In the order of the rows, not in that of their values.
-    order = np.argsort(first)
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return first[order], rank[group.reshape(-1)], counts[order]
-
-
-def group_means(values: Array, group: Indices) -> Array:
-    """Average the rows of each group.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n_samples, n_columns)
-        The rows.
-    group : ndarray of shape (n_samples,)
-        The number of the group that each row belongs to, as `distinct_rows` gives it.
-
-    Returns
-    -------
-    means : ndarray of shape (n_groups, n_columns)
-        The mean of each group.
-    """
-    counts = np.bincount(group)
-    means = np.zeros((len(counts), values.shape[1]))
-    np.add.at(means, group, values)
-    means /= counts[:, np.newaxis]
-    return means
 
 
 def rows_at_distance_zero(distances: Array) -> Indices:

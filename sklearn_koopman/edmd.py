@@ -13,25 +13,21 @@ from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_array, check_X_y, gen_batches
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman import _operators, _pairing, _solvers
-from sklearn_koopman._validation import (
+from sklearn_koopman._dynamics import _operator, _successors
+from sklearn_koopman._linalg import _direct
+from sklearn_koopman._utils._rows import distinct_rows, group_means
+from sklearn_koopman._utils._typing import Array, Complex
+from sklearn_koopman._utils._validation import (
     check_flag,
     check_integer,
     check_magnitude,
     check_number,
 )
-from sklearn_koopman.centers import (
-    SeparatedCenterSelector,
-    distinct_rows,
-    group_means,
-)
+from sklearn_koopman.centers import SeparatedCenterSelector
 from sklearn_koopman.regression import KoopmanKernelRegressor
 
 __all__ = ["KernelEDMD"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Indices = NDArray[np.intp]
 
 # Modes are summed in the place of powers only if the reciprocal condition number of the
 # eigenvectors is at least this, so that both agree to about 1e-9.
@@ -96,7 +92,8 @@ default=None
           more where that would tear a conjugate pair. Predictions and forecasts are
           those of the reduced model, which is small.
         - 0: the whole operator without its spectrum, which takes most of the time of a
-          fit with many centres; for forecasts, and for searches by `forecast_score`.
+          fit with many centres; for forecasts, and for searches by
+          `make_forecast_scorer`.
     solver : {"auto", "pivoted_cholesky", "cholesky"}, default="auto"
         What happens where the Gram matrix, a dense one, is not numerically positive
         definite. "auto" and "pivoted_cholesky": a pivoted Cholesky factorisation leaves
@@ -167,7 +164,7 @@ default=None
     See Also
     --------
     KoopmanKernelRegressor : One step ahead only, without the operator.
-    forecast_score : Scores forecasts in cross-validation.
+    make_forecast_scorer : Scores forecasts in cross-validation.
 
     Notes
     -----
@@ -324,8 +321,8 @@ default=None
             check_integer(self.n_modes, "n_modes", 0)
         consecutive = X_next is None and sample_index is None
         if X_next is not None:
-            X_next = _pairing.check_successors(given, X_next)
-        here, X_next = _pairing.successors(X, X_next, sample_index)
+            X_next = _successors.check_successors(given, X_next)
+        here, X_next = _successors.successors(X, X_next, sample_index)
         outputs = X_next if y is None else y.reshape(len(y), -1)
         check_magnitude(outputs, smallest=0.0, name="y")
         targets = X_next if y is None else np.hstack([outputs[here], X_next])
@@ -342,7 +339,7 @@ default=None
                 f"{error} (Rows are counted among the {len(here)} with a successor.)"
             ) from error
         if more:
-            coordinates[:, : outputs.shape[1]] = _operators.regressed(
+            coordinates[:, : outputs.shape[1]] = _operator.regressed(
                 regressor._native_basis(),
                 X,
                 outputs.__getitem__,
@@ -351,7 +348,7 @@ default=None
             )
         analysis = None
         if self.n_modes != 0:
-            analysis = _operators.analyse(
+            analysis = _operator.analyse(
                 regressor._native_basis(),
                 matrix,
                 coordinates,
@@ -486,7 +483,7 @@ default=None
         X = validate_data(self, X, reset=False, dtype=np.float64)
         found = self._eigenbasis()
         values = self._evaluate(X, found.dual, found.trend)
-        return _operators.unpack(values, found.eigenvalues)
+        return _operator.unpack(values, found.eigenvalues)
 
     def continuous_eigenvalues(self, dt: float) -> tuple[Array, Array]:
         """Turn the eigenvalues into growth rates and frequencies.
@@ -532,7 +529,7 @@ default=None
         """Restore the matrix of a reduced model, which its eigenvalues tell."""
         super().__setstate__(state)
         if state.get("_start", 0) is None:
-            self.koopman_matrix_ = _operators.block_diagonal(state["eigenvalues_"])
+            self.koopman_matrix_ = _operator.block_diagonal(state["eigenvalues_"])
 
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
@@ -581,7 +578,7 @@ default=None
         regressor.fit(X, targets)
         basis = regressor._native_basis()
         if not interpolates:
-            matrix, coordinates = _operators.regressed_operator(
+            matrix, coordinates = _operator.regressed_operator(
                 basis, X, X_next, targets, self.alpha
             )
             # With every state a centre, a fit tells no more than an interpolant.
@@ -589,7 +586,7 @@ default=None
             return regressor, matrix, coordinates, counted
         rows = np.asarray(regressor.center_indices_)
         lots = group if every_row else np.arange(len(X))
-        matrix, coordinates = _operators.interpolated_operator(
+        matrix, coordinates = _operator.interpolated_operator(
             basis, X_next, targets, rows, lots
         )
         # At a centre nothing is left to see, but where equal states have different
@@ -602,7 +599,7 @@ default=None
         self,
         matrix: Array,
         coordinates: Array,
-        analysis: _operators.Analysis | None,
+        analysis: _operator.Analysis | None,
     ) -> None:
         """Store the operator, or what `n_modes` leaves of it."""
         for stale in ("_eigenfunctions", "_weights", "_factors", "_rcond_eigenvectors"):
@@ -619,8 +616,8 @@ default=None
         found = analysis.eigenfunctions
         lam = found.eigenvalues
         if len(lam) < len(matrix):
-            packed = _operators.pack_weights(analysis.weights, lam)
-            self.koopman_matrix_ = _operators.block_diagonal(lam)
+            packed = _operator.pack_weights(analysis.weights, lam)
+            self.koopman_matrix_ = _operator.block_diagonal(lam)
             self._start = None
             self._dual, self._trend = found.dual @ packed, found.trend @ packed
         self._eigenfunctions = found
@@ -634,18 +631,18 @@ default=None
         modes = self._weights / np.where(zero, np.inf, lam)[:, np.newaxis]
         self.modes_ = modes.reshape(len(lam), *self._output_shape)
 
-    def _eigenbasis(self) -> _operators.Eigenfunctions:
+    def _eigenbasis(self) -> _operator.Eigenfunctions:
         """Return the eigenfunctions, found anew if they were not pickled."""
         self._check_has_spectrum()
         if not hasattr(self, "_eigenfunctions"):
             assert self._start is not None
             basis = self.regressor_._native_basis()
-            eigenvalues, vectors = _operators.spectrum(self.koopman_matrix_)
-            order = _operators.match(self.eigenvalues_, eigenvalues)
-            found = _operators.Eigenfunctions(eigenvalues, *basis.expand(vectors))
+            eigenvalues, vectors = _operator.spectrum(self.koopman_matrix_)
+            order = _operator.match(self.eigenvalues_, eigenvalues)
+            found = _operator.Eigenfunctions(eigenvalues, *basis.expand(vectors))
             # Another machine may find other vectors for a multiple eigenvalue, so that
             # weights have to be found along with them.
-            weights, _ = _operators.expansion(vectors, eigenvalues, self._start)
+            weights, _ = _operator.expansion(vectors, eigenvalues, self._start)
             weights = weights[:, : len(self._limit)][order]
             self._weights = weights / self._factors[:, np.newaxis]
             self._eigenfunctions = found.take(order).scale(self._factors)
@@ -673,19 +670,19 @@ default=None
     def _sum_modes(self, X: Array, y: Array) -> None:
         found = self._eigenbasis()
         lam = found.eigenvalues
-        for rows in gen_batches(len(X), max(_operators.BLOCK // len(lam), 1)):
+        for rows in gen_batches(len(X), max(_operator.BLOCK // len(lam), 1)):
             phi = self._evaluate(X[rows], found.dual, found.trend)
             for steps in self._later_steps(y[rows]):
                 powers = lam[:, np.newaxis] ** np.arange(steps.start, steps.stop)
                 weights = powers[:, :, np.newaxis] * self._weights[:, np.newaxis]
-                packed = _operators.pack_weights(weights.reshape(len(lam), -1), lam)
+                packed = _operator.pack_weights(weights.reshape(len(lam), -1), lam)
                 y[rows, steps] = (phi @ packed).reshape(len(phi), -1, y.shape[2])
 
     def _apply_powers(self, X: Array, y: Array) -> None:
         assert self._start is not None
         basis = self.regressor_._native_basis()
         start = self._start[:, : y.shape[2]]
-        images = _operators.powers(self.koopman_matrix_, start)
+        images = _operator.powers(self.koopman_matrix_, start)
         for steps in self._later_steps(y):
             coordinates = list(islice(images, steps.stop - steps.start))
             if not coordinates:
@@ -710,7 +707,7 @@ default=None
     def _later_steps(self, y: Array) -> Iterator[slice]:
         """Divide the steps after the first so that a block stays in memory."""
         n_rows = max(len(y), len(self._dual))
-        size = max(_operators.BLOCK // (n_rows * y.shape[2]), 1)
+        size = max(_operator.BLOCK // (n_rows * y.shape[2]), 1)
         for start in range(1, y.shape[1], size):
             yield slice(start, min(start + size, y.shape[1]))
 
@@ -719,6 +716,6 @@ default=None
 
     def _evaluate(self, X: Array, dual: Array, trend: Array) -> Array:
         regressor = self.regressor_
-        return _solvers.evaluate(
+        return _direct.evaluate(
             regressor._sections, regressor._tail, X, dual, trend, self.n_jobs
         )

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.distance import cdist
 from sklearn.base import clone
 from sklearn.gaussian_process.kernels import (
@@ -18,7 +18,8 @@ from sklearn.gaussian_process.kernels import (
     StationaryKernelMixin,
 )
 
-from sklearn_koopman._validation import check_integer, check_number
+from sklearn_koopman._utils._typing import Array
+from sklearn_koopman._utils._validation import check_integer, check_number
 
 __all__ = [
     "KERNELS",
@@ -28,7 +29,6 @@ __all__ = [
     "Wendland",
 ]
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 # Beyond this many scales every profile has decayed, and its polynomial factors still

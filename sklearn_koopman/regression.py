@@ -5,25 +5,31 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_X_y
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman import _bounds
-from sklearn_koopman._estimates import (
+from sklearn_koopman._linalg._cholesky import NativeBasis
+from sklearn_koopman._linalg._direct import Solution, evaluate, residual_norms
+from sklearn_koopman._linalg._incremental import GrowingInterpolant
+from sklearn_koopman._linalg._iterative import ImplicitBasis
+from sklearn_koopman._linalg._select import (
     REMEDY,
     interpolated,
     negligible_tolerance,
     regressed,
 )
-from sklearn_koopman._growth import DEGREES, GrowthMixin
-from sklearn_koopman._large import ImplicitBasis
-from sklearn_koopman._native import NativeBasis
-from sklearn_koopman._sections import DistanceSections, KernelSections, Sections
-from sklearn_koopman._solvers import Solution, evaluate, residual_norms
-from sklearn_koopman._streaming import GrowingInterpolant, Values, merge_equal_rows
-from sklearn_koopman._validation import check_number
+from sklearn_koopman._matrices._polynomial import DEGREES
+from sklearn_koopman._matrices._sections import (
+    DistanceSections,
+    KernelSections,
+    Sections,
+)
+from sklearn_koopman._regression import _error_bound
+from sklearn_koopman._regression._partial_fit import GrowthMixin
+from sklearn_koopman._utils._rows import AveragedOutputs, merge_equal_rows
+from sklearn_koopman._utils._typing import Array, Indices
+from sklearn_koopman._utils._validation import check_number
 from sklearn_koopman.centers import (
     check_distances,
     choose_centers,
@@ -33,9 +39,6 @@ from sklearn_koopman.kernels import as_kernel
 from sklearn_koopman.solvers import ConjugateGradient, check_solver
 
 __all__ = ["KoopmanKernelRegressor"]
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 
 class KoopmanKernelRegressor(
@@ -125,7 +128,7 @@ default="auto"
         centres. Only with a `trend`; for ``trend="constant"`` just the constant.
     kernel_ : Kernel
         The kernel, with its scale and dimension.
-    amplitude_ : float or ndarray of shape (n_outputs,)
+    signal_std_ : float or ndarray of shape (n_outputs,)
         Scale of the outputs in terms of the kernel. For interpolation
         ``sqrt(u^T (K + alpha I)^-1 u / M)`` with M the number of centres: the
         standard deviation at which the kernel, as the covariance of a Gaussian
@@ -133,18 +136,18 @@ default="auto"
         less the rank of the trend, if there is one). For least squares the native
         norm of the estimate over sqrt(M) instead, which is smaller, the stronger
         `alpha` shrinks it.
-    noise_ : float or ndarray of shape (n_outputs,)
-        Standard deviation of the outputs about the estimate. ``amplitude_ *
+    noise_std_ : float or ndarray of shape (n_outputs,)
+        Standard deviation of the outputs about the estimate. ``signal_std_ *
         sqrt(alpha)`` for interpolation, and where every row is a centre; otherwise
         the root of the sum of squared residuals over the number of rows less the
         effective number of parameters (with conjugate gradients an estimate of it, good
-        to about 1 % of `noise_`).
+        to about 1 % of `noise_std_`).
     solver_ : str or ConjugateGradient
         What `solver` came to: "pivoted_cholesky", "cholesky" or the conjugate
         gradients.
     n_iter_ : int
         Number of iterations. Only with conjugate gradients.
-    residual_ : float
+    solver_residual_ : float
         Largest residual relative to the values to be met, computed anew at the end: of
         any output and, for least squares, of the random vectors that estimate the
         effective number of parameters. Only with conjugate gradients.
@@ -276,7 +279,7 @@ default="auto"
         interpolates = self.method == "interpolation" or self.centers is None
         sections: Sections
         rows: Indices | None
-        values = Values(outputs, np.ones(len(X)), np.zeros(outputs.shape[1]))
+        values = AveragedOutputs(outputs, np.ones(len(X)), np.zeros(outputs.shape[1]))
         if self._precomputed:
             if not _is_isotropic(kernel):
                 raise ValueError(
@@ -332,7 +335,7 @@ default="auto"
         self.solver_ = estimate.solver
         if estimate.converged is not None:
             self.n_iter_ = estimate.converged.n_iter
-            self.residual_ = estimate.converged.residual
+            self.solver_residual_ = estimate.converged.residual
         self._interpolates = interpolates
         if interpolates and isinstance(sections, KernelSections):
             self._values = self._kept_values(values, solution, points)
@@ -354,8 +357,8 @@ default="auto"
         y : ndarray of shape (n_samples,) or (n_samples, n_outputs)
             The estimate of G(f(x)).
         y_std : ndarray of the shape of `y`
-            Standard deviation of the outputs, ``sqrt((amplitude_ * P) ** 2 + noise_
-            ** 2)`` with the power function P; only if `return_std`. This takes the
+            Standard deviation of the outputs, ``sqrt((signal_std_ * P) ** 2 +
+            noise_std_ ** 2)`` with the power function P; only if `return_std`. This takes the
             outputs for a sample of a Gaussian process with this kernel and
             independent noise. It is too wide where they are smoother than that, and
             too narrow on a trajectory that differs from those of the training data.
@@ -374,7 +377,7 @@ default="auto"
             return y
         P = self._fitted_basis().power(X, self.n_jobs)
         P = P.reshape((-1,) + (1,) * (self.dual_coef_.ndim - 1))
-        return y, np.hypot(self.amplitude_ * P, self.noise_)
+        return y, np.hypot(self.signal_std_ * P, self.noise_std_)
 
     def power_function(self, X: Any) -> Array:
         """Evaluate the power function, which bounds the error of interpolation.
@@ -479,14 +482,14 @@ default="auto"
         basis = self._native_basis()
         norms = self._native_norms(norm)
         diagonal = basis.sections.smooth_diagonal(X)
-        variance = _bounds.variance(basis, X, diagonal, self.n_jobs)
+        variance = _error_bound.variance(basis, X, diagonal, self.n_jobs)
         if basis.tail is not None:
             variance[basis.tail.beyond(X)] = np.inf
         if not hasattr(self, "_reach"):
             points = getattr(self, "centers_", np.zeros((len(basis.lower), 1)))
-            self._reach = _bounds.reach(basis, points)
-        _bounds.warn_off_manifold(basis, variance, diagonal, self._reach)
-        P = np.sqrt(variance + _bounds.ROUNDING * diagonal)
+            self._reach = _error_bound.reach(basis, points)
+        _error_bound.warn_off_manifold(basis, variance, diagonal, self._reach)
+        P = np.sqrt(variance + _error_bound.ROUNDING * diagonal)
         with np.errstate(invalid="ignore"):
             bound = np.outer(P, norms)
         bound[np.isinf(P)] = np.inf
@@ -533,8 +536,8 @@ default="auto"
             )
 
     def _merged(
-        self, X: Array, values: Values, numbers: Indices
-    ) -> tuple[Indices, Values]:
+        self, X: Array, values: AveragedOutputs, numbers: Indices
+    ) -> tuple[Indices, AveragedOutputs]:
         exact = self.method == "interpolation" and self.alpha == 0
         return merge_equal_rows(X, values, exact, numbers)
 
@@ -551,7 +554,7 @@ default="auto"
             "_batches",
             "_values",
             "n_iter_",
-            "residual_",
+            "solver_residual_",
         ):
             self.__dict__.pop(name, None)
 
@@ -591,8 +594,8 @@ default="auto"
         spare = n_rows - solution.freedom
         if residual is not None and spare > 1e-6 * n_rows:
             noise = residual / np.sqrt(spare)
-        self.amplitude_ = shaped(amplitude)
-        self.noise_ = shaped(noise)
+        self.signal_std_ = shaped(amplitude)
+        self.noise_std_ = shaped(noise)
         self._n_seen = n_rows
         self._settings = self._current_settings()
 
@@ -612,7 +615,7 @@ default="auto"
         """Return the native norm of each output: as given, or estimated."""
         n_outputs = int(np.prod(self.dual_coef_.shape[1:]))
         if norm is not None:
-            return _bounds.given_norms(norm, n_outputs)
+            return _error_bound.given_norms(norm, n_outputs)
         if not hasattr(self, "_norm"):
             basis = self._native_basis()
             degrees = len(self.dual_coef_) - basis.Q.shape[1]
@@ -628,13 +631,13 @@ default="auto"
                     f"centres with trend={self.trend!r}; give norm, or take more "
                     "centres."
                 )
-            self._norm = _bounds.native_norm(
+            self._norm = _error_bound.native_norm(
                 self._sections,
                 self.centers_,
                 self._nugget,
                 self._tail,
                 self._values.means,
-                np.ravel(self.amplitude_) * np.sqrt(degrees),
+                np.ravel(self.signal_std_) * np.sqrt(degrees),
             )
         return self._norm
 

@@ -8,24 +8,22 @@ from numbers import Real
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.pipeline import Pipeline
 from sklearn.utils import check_array, check_consistent_length, gen_batches
 from sklearn.utils.metadata_routing import MetadataRequest
 
-from sklearn_koopman._validation import check_flag, check_integer, check_number
+from sklearn_koopman._utils._typing import Array, Indices
+from sklearn_koopman._utils._validation import check_flag, check_integer, check_number
 from sklearn_koopman.trajectories import successor_rows
 
-__all__ = ["forecast_score", "valid_horizon"]
+__all__ = ["make_forecast_scorer", "make_valid_time_scorer"]
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 # Entries of the forecasts that are held at once.
 BLOCK = 2**22
 
 
-def forecast_score(
+def make_forecast_scorer(
     n_steps: int,
     *,
     discount: float = 1.0,
@@ -71,7 +69,7 @@ def forecast_score(
 
     See Also
     --------
-    valid_horizon : Counts the steps until the error passes a tolerance.
+    make_valid_time_scorer : Counts the steps until the error passes a tolerance.
 
     Notes
     -----
@@ -86,13 +84,13 @@ def forecast_score(
     Examples
     --------
     >>> from sklearn.model_selection import GridSearchCV
-    >>> from sklearn_koopman import KernelEDMD, TrajectoryKFold, forecast_score
+    >>> from sklearn_koopman import KernelEDMD, TrajectoryKFold, make_forecast_scorer
     >>> from sklearn_koopman.datasets import make_pendulum
     >>> pendulum = make_pendulum(40, initial=[[0, 1.0], [0, 1.5], [0, 2.0]])
     >>> search = GridSearchCV(
     ...     KernelEDMD(trend="linear", n_modes=0),
     ...     {"beta": [0.1, 10.0]},
-    ...     scoring=forecast_score(20),
+    ...     scoring=make_forecast_scorer(20),
     ...     cv=TrajectoryKFold(3),
     ... )
     >>> search = search.fit(
@@ -112,10 +110,10 @@ def forecast_score(
         raise ValueError(
             f"error_score must be 'raise' or a number, got {error_score!r}."
         )
-    return _HorizonError(n_steps, relift, float(discount), error_score)
+    return HorizonErrorScorer(n_steps, relift, float(discount), error_score)
 
 
-def valid_horizon(
+def make_valid_time_scorer(
     n_steps: int, tolerance: float, *, relift: bool = False
 ) -> ForecastScorer:
     """Make a scorer that counts the steps until the error passes a tolerance.
@@ -137,7 +135,7 @@ def valid_horizon(
     Returns
     -------
     scorer : callable
-        To be used as that of :func:`forecast_score`.
+        To be used as that of :func:`make_forecast_scorer`.
 
     Raises
     ------
@@ -147,26 +145,26 @@ def valid_horizon(
 
     See Also
     --------
-    forecast_score : The error over a horizon.
+    make_forecast_scorer : The error over a horizon.
 
     Examples
     --------
-    >>> from sklearn_koopman import KernelEDMD, valid_horizon
+    >>> from sklearn_koopman import KernelEDMD, make_valid_time_scorer
     >>> from sklearn_koopman.datasets import make_pendulum
     >>> pendulum = make_pendulum(300)
     >>> model = KernelEDMD("wendland_c4", beta=4.0).fit(pendulum.X[:90])
-    >>> valid_horizon(100, tolerance=0.01)(model, pendulum.X)
+    >>> make_valid_time_scorer(100, tolerance=0.01)(model, pendulum.X)
     100.0
     """
     check_integer(n_steps, "n_steps", 1)
     check_number(tolerance, "tolerance", positive=True)
     check_flag(relift, "relift")
-    return _ValidHorizon(n_steps, relift, float(tolerance))
+    return ValidTimeScorer(n_steps, relift, float(tolerance))
 
 
 @dataclass(frozen=True, repr=False)
 class ForecastScorer:
-    """Compares forecasts with what followed; see :func:`forecast_score`."""
+    """Compares forecasts with what followed; see :func:`make_forecast_scorer`."""
 
     n_steps: int
     relift: bool
@@ -283,11 +281,11 @@ class ForecastScorer:
 
 
 @dataclass(frozen=True, repr=False)
-class _HorizonError(ForecastScorer):
+class HorizonErrorScorer(ForecastScorer):
     discount: float
     error_score: str | float
 
-    _name = "forecast_score"
+    _name = "make_forecast_scorer"
 
     def _score(self, squared: Array, n_outputs: int) -> float:
         weights = self.discount ** np.arange(self.n_steps)
@@ -303,10 +301,10 @@ class _HorizonError(ForecastScorer):
 
 
 @dataclass(frozen=True, repr=False)
-class _ValidHorizon(ForecastScorer):
+class ValidTimeScorer(ForecastScorer):
     tolerance: float
 
-    _name = "valid_horizon"
+    _name = "make_valid_time_scorer"
 
     def _score(self, squared: Array, n_outputs: int) -> float:
         # NaN is no error that is tolerated.

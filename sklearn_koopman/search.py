@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from joblib import effective_n_jobs
-from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
 from sklearn.exceptions import FitFailedWarning
 from sklearn.frozen import FrozenEstimator
@@ -20,24 +19,22 @@ from sklearn.utils import check_X_y
 from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman._crossval import (
+from sklearn_koopman._linalg._leave_out import Fold
+from sklearn_koopman._matrices._polynomial import DEGREES
+from sklearn_koopman._matrices._sections import one_thread
+from sklearn_koopman._regression._candidates import (
     HeldOut,
     Outcome,
     Search,
     scores_of_folds,
     tabulated,
 )
-from sklearn_koopman._growth import DEGREES
-from sklearn_koopman._heldout import Fold
-from sklearn_koopman._sections import one_thread
-from sklearn_koopman._validation import check_number
+from sklearn_koopman._utils._typing import Array
+from sklearn_koopman._utils._validation import check_number
 from sklearn_koopman.kernels import RadialKernel, as_kernel
 from sklearn_koopman.regression import KoopmanKernelRegressor
 
 __all__ = ["KoopmanKernelRegressorCV"]
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 
 class KoopmanKernelRegressorCV(MultiOutputMixin, RegressorMixin, BaseEstimator):
@@ -125,9 +122,9 @@ default=None
         Coefficients of the tail. Only with a `trend`.
     kernel_ : Kernel
         The kernel, with its scale and dimension.
-    amplitude_ : float or ndarray of shape (n_outputs,)
+    signal_std_ : float or ndarray of shape (n_outputs,)
         Scale of the outputs in terms of the kernel.
-    noise_ : float or ndarray of shape (n_outputs,)
+    noise_std_ : float or ndarray of shape (n_outputs,)
         Standard deviation of the outputs about the estimate.
     rcond_ : float
         Estimate of the reciprocal condition number of the matrix that was factored.
@@ -496,7 +493,7 @@ _COPIED = (
     "centers_",
     "dual_coef_",
     "trend_coef_",
-    "amplitude_",
-    "noise_",
+    "signal_std_",
+    "noise_std_",
     "rcond_",
 )

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.model_selection import BaseCrossValidator, GroupKFold
 from sklearn.utils import Bunch, check_array, indexable
 
-from sklearn_koopman._validation import check_integer
+from sklearn_koopman._utils._validation import check_integer
 
 __all__ = ["TrajectoryKFold", "successor_rows", "trajectory_pairs"]
 

@@ -451,7 +451,7 @@ def test_forecast_in_blocks_of_steps_and_rows(pendulum, monkeypatch):
     model = KernelEDMD("wendland_c4", beta=4.0, centers=SeparatedCenterSelector(0.23))
     model.fit(pendulum.X, X_next=pendulum.X_next)
     once = {n: model.forecast(pendulum.X[:n], 50) for n in (2, 256)}
-    monkeypatch.setattr("sklearn_koopman._operators.BLOCK", 300)
+    monkeypatch.setattr("sklearn_koopman._dynamics._operator.BLOCK", 300)
     for n, y in once.items():
         np.testing.assert_allclose(model.forecast(pendulum.X[:n], 50), y, rtol=1e-9)
 
@@ -1188,7 +1188,7 @@ def test_fit_in_blocks_of_rows(pendulum, n_modes, monkeypatch):
         "wendland_c4", beta=4.0, centers=SeparatedCenterSelector(0.23), n_modes=n_modes
     )
     once = clone(model).fit(pendulum.X, X_next=pendulum.X_next)
-    monkeypatch.setattr("sklearn_koopman._operators.BLOCK", 300)
+    monkeypatch.setattr("sklearn_koopman._dynamics._operator.BLOCK", 300)
     model.fit(pendulum.X, X_next=pendulum.X_next)
     np.testing.assert_allclose(model.residuals_, once.residuals_, rtol=1e-9)
     np.testing.assert_allclose(
@@ -1255,7 +1255,7 @@ def test_divergence_is_told_by_step_and_output(scale):
 @pytest.mark.parametrize("n_modes", [0, 2])
 def test_what_cannot_be_followed_is_nan(n_modes, monkeypatch):
     """In blocks of steps by powers, and by eigenvalues, whose powers overflow."""
-    monkeypatch.setattr("sklearn_koopman._operators.BLOCK", 300)
+    monkeypatch.setattr("sklearn_koopman._dynamics._operator.BLOCK", 300)
     x = np.linspace(-1, 1, 30)[:, np.newaxis]
     model = KernelEDMD("gaussian", trend="linear", centers=x[::6], n_modes=n_modes)
     model.fit(x, X_next=2 * x)

@@ -28,12 +28,12 @@ from sklearn.gaussian_process.kernels import (
 from sklearn_koopman import (
     KoopmanKernelRegressor,
     SeparatedCenterSelector,
-    _normal,
-    _streaming,
 )
-from sklearn_koopman._native import NativeBasis, Tail
-from sklearn_koopman._normal import NormalEquations, least_squares
-from sklearn_koopman._sections import KernelSections
+from sklearn_koopman._linalg import _incremental, _least_squares
+from sklearn_koopman._linalg._cholesky import NativeBasis
+from sklearn_koopman._linalg._least_squares import NormalEquations, least_squares
+from sklearn_koopman._matrices._polynomial import PolynomialTrend
+from sklearn_koopman._matrices._sections import KernelSections
 from sklearn_koopman.kernels import Gaussian, MaternSobolev, Wendland
 from sklearn_koopman.solvers import ConjugateGradient
 
@@ -112,12 +112,12 @@ def assert_same(model, expected, X, rtol=1e-8):
     got, got_std = model.predict(X, return_std=True)
     assert got.shape == y.shape
     assert_allclose(got, y, rtol=0, atol=rtol * size)
-    # noise_ of least squares is a difference of sums.
-    limit = 1e-9 * np.max(expected.amplitude_) ** 2 + 1e-15 * size**2
+    # noise_std_ of least squares is a difference of sums.
+    limit = 1e-9 * np.max(expected.signal_std_) ** 2 + 1e-15 * size**2
     assert_allclose(got_std**2, std**2, rtol=1e-6, atol=limit)
-    assert_allclose(model.noise_, expected.noise_, rtol=1e-6, atol=3e-8 * size)
-    assert_allclose(model.amplitude_, expected.amplitude_, rtol=1e-7)
-    assert np.shape(model.amplitude_) == np.shape(expected.amplitude_)
+    assert_allclose(model.noise_std_, expected.noise_std_, rtol=1e-6, atol=3e-8 * size)
+    assert_allclose(model.signal_std_, expected.signal_std_, rtol=1e-7)
+    assert np.shape(model.signal_std_) == np.shape(expected.signal_std_)
     assert_allclose(
         model.dual_coef_,
         expected.dual_coef_,
@@ -219,8 +219,8 @@ def test_grown_interpolant_solves_the_printed_system(trend, alpha):
     if trend is not None:
         assert_allclose(model.trend_coef_, b, rtol=1e-8, atol=1e-9)
     amplitude = np.sqrt(np.einsum("ij,ij->j", y, c) / (60 - P.shape[1]))
-    assert_allclose(model.amplitude_, amplitude, rtol=1e-9)
-    assert_allclose(model.noise_, amplitude * np.sqrt(alpha), rtol=1e-9)
+    assert_allclose(model.signal_std_, amplitude, rtol=1e-9)
+    assert_allclose(model.noise_std_, amplitude * np.sqrt(alpha), rtol=1e-9)
     # The power function, by the same system for every row.
     T = X[:20] + 0.02
     k, p = MaternSobolev(0.5, 1.5)(X, T), monomials(T, trend, X.mean(axis=0)).T
@@ -257,10 +257,10 @@ def test_accumulated_regression_is_the_dense_one(trend, alpha, n_centers):
         assert_allclose(model.trend_coef_, coefficients[n_centers:], atol=1e-7)
     squares = ((y - hat @ y) ** 2).sum(axis=0)
     noise = np.sqrt(squares / (len(X) - np.trace(hat)))
-    assert_allclose(model.noise_, noise, rtol=1e-7)
+    assert_allclose(model.noise_std_, noise, rtol=1e-7)
     norm = np.sqrt(np.einsum("ij,ij->j", c, kernel(centers) @ c))
     degrees = n_centers - P.shape[1]
-    assert_allclose(model.amplitude_, norm / np.sqrt(degrees), rtol=1e-6)
+    assert_allclose(model.signal_std_, norm / np.sqrt(degrees), rtol=1e-6)
 
 
 def test_memory_does_not_grow_with_the_rows():
@@ -287,7 +287,7 @@ def test_equal_rows_count_with_their_mean_and_their_number():
     for value in (1.0, 2.0, 6.0):
         model.partial_fit([[0.5]], [value])
     assert_allclose(model.predict([[0.5]]), [3.0])
-    assert_allclose(model.noise_, np.sqrt(14 / 2))
+    assert_allclose(model.noise_std_, np.sqrt(14 / 2))
 
 
 def test_equal_rows_that_contradict_each_other():
@@ -321,7 +321,7 @@ def test_blocks_of_a_factor():
     A = rng.normal(size=(300, 310))
     K = A @ A.T / 300
     L = np.linalg.cholesky(K)
-    factor = _streaming.GrowingFactor([np.asfortranarray(L[:200, :200])])
+    factor = _incremental.GrowingFactor([np.asfortranarray(L[:200, :200])])
     # What is above the diagonal has no meaning.
     factor.blocks[0][np.triu_indices(200, 1)] = 7e7
     b = rng.normal(size=(300, 3))
@@ -344,12 +344,12 @@ def test_blocks_of_a_factor():
     assert_allclose(np.tril(factor.join()), L, atol=1e-14)
     assert len(factor.blocks) == 1
     # Where the first is long, after some number of them.
-    factor = _streaming.GrowingFactor([np.eye(2000, order="F")])
+    factor = _incremental.GrowingFactor([np.eye(2000, order="F")])
     blocks = []
     for size in range(2000, 2100):
         factor.extend(np.zeros((size, 1)), np.ones((1, 1)))
         blocks.append(len(factor.blocks))
-    assert max(blocks) == _streaming.TIMES
+    assert max(blocks) == _incremental.TIMES
     assert min(blocks[1:]) == 1
 
 
@@ -467,7 +467,7 @@ def test_least_squares_leaves_out_dependent_centres(alpha, trend):
         grown(model, X, y, [100])
     assert len(model.centers_) == len(model.dual_coef_) < 30
     assert_allclose(model.predict(X), expected.predict(X), atol=1e-6)
-    assert_allclose(model.noise_, expected.noise_, rtol=1e-5)
+    assert_allclose(model.noise_std_, expected.noise_std_, rtol=1e-5)
 
 
 def test_selector_of_dependent_centres_keeps_their_rows():
@@ -827,7 +827,7 @@ def test_given_centres_of_interpolation_cannot_grow():
 
 
 def test_conjugate_gradients_chosen_by_themselves_cannot_grow(monkeypatch):
-    monkeypatch.setattr("sklearn_koopman._large.is_large", lambda *_: True)
+    monkeypatch.setattr("sklearn_koopman._linalg._iterative.is_large", lambda *_: True)
     X, y = samples(30, noise=False)
     model = KoopmanKernelRegressor().fit(X, y)
     assert_hidden(model, X, y, "fit with solver='pivoted_cholesky'")
@@ -838,7 +838,7 @@ def test_growth_stays_with_the_factor_it_began_with(monkeypatch):
     model = KoopmanKernelRegressor(alpha=0.1)
     expected = clone(model).fit(X, y)
     model.partial_fit(X[:50], y[:50])
-    monkeypatch.setattr("sklearn_koopman._large.is_large", lambda *_: True)
+    monkeypatch.setattr("sklearn_koopman._linalg._iterative.is_large", lambda *_: True)
     model.partial_fit(X[50:], y[50:])  # equal rows: all is factored anew
     assert_same(model, expected, X)
 
@@ -925,7 +925,7 @@ def test_noise_counts_the_rows_whose_centres_were_left_out():
         expected = clone(model).fit(X, y)
     with pytest.warns(LinAlgWarning):
         grown(model, X, y, [60])
-    assert_allclose(model.noise_, expected.noise_, rtol=0.1)
+    assert_allclose(model.noise_std_, expected.noise_std_, rtol=0.1)
 
 
 # --- sums over rows
@@ -937,7 +937,7 @@ def native_basis(trend, n_centers=150, beta=0.3, kernel=Gaussian):
     degree = {None: None, "constant": 0, "linear": 1}[trend]
     X = rng.uniform(size=(400, 2))
     y = rng.normal(size=(400, 2)) + X
-    tail = None if degree is None else Tail.on(centers, degree, X)
+    tail = None if degree is None else PolynomialTrend.on(centers, degree, X)
     sections = KernelSections(kernel(beta), centers)
     return NativeBasis.of(sections, centers, np.zeros(n_centers), tail), X, y
 
@@ -1001,7 +1001,7 @@ def test_polynomials_that_the_centres_do_not_see():
     grown(model, X, y, [20, 21])
     assert_allclose(model.predict([[0.5, 3.0]]), [2.0 - 21.0], atol=1e-8)
     assert_allclose(model.trend_coef_[2], -7.0, atol=1e-9)
-    assert_allclose(model.noise_, 0.0, atol=1e-6)
+    assert_allclose(model.noise_std_, 0.0, atol=1e-6)
 
 
 def test_polynomials_that_the_rows_do_not_tell_are_left_at_zero():
@@ -1054,13 +1054,13 @@ def test_regression_of_arrays_on_disk(tmp_path, trend):
         tracemalloc.stop()
     assert peak < X.nbytes
     assert_allclose(model.dual_coef_, expected.dual_coef_, rtol=1e-12)
-    assert_allclose(model.noise_, expected.noise_, rtol=1e-12)
+    assert_allclose(model.noise_std_, expected.noise_std_, rtol=1e-12)
     streamed = clone(model)
     for start in range(0, n, 25_000):
         streamed.partial_fit(X[start : start + 25_000], y[start : start + 25_000])
     T = np.array(X[:100])
     assert_allclose(streamed.predict(T), expected.predict(T), atol=1e-9)
-    assert_allclose(streamed.noise_, expected.noise_, rtol=1e-6)
+    assert_allclose(streamed.noise_std_, expected.noise_std_, rtol=1e-6)
 
 
 class Counting(ThreadingBackend):
@@ -1115,12 +1115,12 @@ def assert_shared(model, X, y):
     model.fit(X, y)
     assert_allclose(model.dual_coef_, serial.dual_coef_, atol=1e-10)
     assert_allclose(model.trend_coef_, serial.trend_coef_, atol=1e-10)
-    assert_allclose(model.noise_, serial.noise_, rtol=1e-10)
-    assert_allclose(model.amplitude_, serial.amplitude_, rtol=1e-9)
+    assert_allclose(model.noise_std_, serial.noise_std_, rtol=1e-10)
+    assert_allclose(model.signal_std_, serial.signal_std_, rtol=1e-9)
 
 
 def test_workers_share_the_rows(monkeypatch, tmp_path):
-    monkeypatch.setattr(_normal, "PARALLEL_WORK", 0)
+    monkeypatch.setattr(_least_squares, "PARALLEL_WORK", 0)
     model, X, y = regression(n_jobs=2)
     assert_shared(model, X, y)  # by loky
     for name, values in (("X", X), ("y", y)):
@@ -1134,7 +1134,7 @@ def test_workers_share_the_rows(monkeypatch, tmp_path):
 def test_threads_share_the_rows(monkeypatch, n_jobs):
     model, X, y = regression()
     with joblib.parallel_config("threading", n_jobs=n_jobs):
-        monkeypatch.setattr(_normal, "PARALLEL_WORK", 0)
+        monkeypatch.setattr(_least_squares, "PARALLEL_WORK", 0)
         assert_shared(model, X, y)
 
 
@@ -1144,27 +1144,27 @@ def test_any_backend_gets_shares(monkeypatch, backends, backend):
     with joblib.parallel_config(backend, n_jobs=3):
         model.fit(X, y)
         assert Counting.tasks == 0  # too little work
-        monkeypatch.setattr(_normal, "PARALLEL_WORK", 401 * 12**2)
+        monkeypatch.setattr(_least_squares, "PARALLEL_WORK", 401 * 12**2)
         model.fit(X, y)
         assert Counting.tasks == 3
-        monkeypatch.setattr(_normal, "PARALLEL_WORK", 401 * 12**2 + 1)
+        monkeypatch.setattr(_least_squares, "PARALLEL_WORK", 401 * 12**2 + 1)
         model.fit(X, y)
         assert Counting.tasks == 3
-        monkeypatch.setattr(_normal, "PARALLEL_WORK", 0)
+        monkeypatch.setattr(_least_squares, "PARALLEL_WORK", 0)
         assert_shared(model, X, y)
 
 
 def test_shares_hold_their_rows_only(monkeypatch, backends):
     """A worker is given its share, not all rows and a number."""
-    monkeypatch.setattr(_normal, "PARALLEL_WORK", 0)
+    monkeypatch.setattr(_least_squares, "PARALLEL_WORK", 0)
     lengths = []
-    share = _normal._share
+    share = _least_squares._share
 
     def spied(basis, X, y):
         lengths.append((len(X), len(y)))
         return share(basis, X, y)
 
-    monkeypatch.setattr(_normal, "_share", spied)
+    monkeypatch.setattr(_least_squares, "_share", spied)
     model, X, y = regression()
     with joblib.parallel_config("counting", n_jobs=3):
         model.fit(X, y)
@@ -1172,7 +1172,7 @@ def test_shares_hold_their_rows_only(monkeypatch, backends):
 
 
 def test_rows_fewer_than_workers(monkeypatch, backends):
-    monkeypatch.setattr(_normal, "PARALLEL_WORK", 0)
+    monkeypatch.setattr(_least_squares, "PARALLEL_WORK", 0)
     basis, X, y = native_basis("linear", n_centers=5, kernel=lambda b: Wendland(b, 2))
     expected = least_squares(basis, X[:6], y[:6].__getitem__, 2, 0.1)
     with joblib.parallel_config("counting", n_jobs=20):

@@ -15,9 +15,9 @@ from sklearn_koopman import (
     KernelEDMD,
     KoopmanKernelRegressor,
     SeparatedCenterSelector,
-    _large,
 )
-from sklearn_koopman._iterative import (
+from sklearn_koopman._linalg import _iterative
+from sklearn_koopman._linalg._conjugate_gradient import (
     Converged,
     _coarse_to_fine,
     _nearest_predecessors,
@@ -26,8 +26,8 @@ from sklearn_koopman._iterative import (
     neighbor_preconditioner,
     pivoted_factor,
 )
-from sklearn_koopman._sections import KernelSections, is_sparse
-from sklearn_koopman._sparse import (
+from sklearn_koopman._matrices._sections import KernelSections, is_sparse
+from sklearn_koopman._matrices._sparse import (
     banded_solver,
     bandwidth,
     cross,
@@ -67,12 +67,12 @@ def assert_agree(X, y, at, solver=None, tol=1e-8, **parameters):
     size = np.maximum(np.abs(y).max(axis=0), np.finfo(float).tiny)
     difference = np.abs(iterative.predict(at) - dense.predict(at))
     assert (difference / size).max() < tol
-    assert iterative.residual_ <= iterative.solver_.tol
+    assert iterative.solver_residual_ <= iterative.solver_.tol
     P, expected = iterative.power_function(at), dense.power_function(at)
     # Squared, since the root of what rounding leaves is large.
     assert (P**2 - expected**2).min() > -1e-11 * max(1.0, expected.max() ** 2)
     np.testing.assert_allclose(P**2, expected**2, rtol=1e-9, atol=1e-9)
-    assert (np.abs(iterative.amplitude_ - dense.amplitude_) / size).max() < 1e-6
+    assert (np.abs(iterative.signal_std_ - dense.signal_std_) / size).max() < 1e-6
     if parameters.get("trend") is not None:
         np.testing.assert_allclose(
             iterative.trend_coef_,
@@ -109,7 +109,7 @@ def test_interpolation(trend, alpha, preconditioner):
     model, dense = assert_agree(
         STATES, Y, ELSEWHERE, solver, beta=0.5, alpha=alpha, trend=trend
     )
-    np.testing.assert_allclose(model.noise_, dense.noise_, rtol=1e-8)
+    np.testing.assert_allclose(model.noise_std_, dense.noise_std_, rtol=1e-8)
     np.testing.assert_allclose(model.dual_coef_, dense.dual_coef_, atol=1e-7)
     assert not hasattr(model, "rcond_")
 
@@ -130,9 +130,9 @@ def test_least_squares_at_chosen_centres(trend, alpha, kernel):
         method="least_squares",
     )
     # The effective number of parameters is estimated, of 220 rows.
-    np.testing.assert_allclose(model.noise_, dense.noise_, rtol=0.05)
+    np.testing.assert_allclose(model.noise_std_, dense.noise_std_, rtol=0.05)
     if alpha == 0:
-        np.testing.assert_allclose(model.noise_, dense.noise_, rtol=1e-8)
+        np.testing.assert_allclose(model.noise_std_, dense.noise_std_, rtol=1e-8)
 
 
 @pytest.mark.parametrize("preconditioner", ["auto", "neighbors", "nystroem"])
@@ -204,7 +204,7 @@ def test_equal_rows_count(alpha, method, trend):
         X, y, ELSEWHERE, alpha=alpha, method=method, trend=trend
     )
     assert len(model.centers_) == 220
-    np.testing.assert_allclose(model.noise_, dense.noise_, rtol=1e-8)
+    np.testing.assert_allclose(model.noise_std_, dense.noise_std_, rtol=1e-8)
     # Three rows at one state have a third of alpha.
     K = model.kernel_(model.centers_)
     weight = alpha / np.repeat([3.0, 2.0, 1.0], [20, 30, 170])
@@ -237,7 +237,7 @@ def test_compact_support(place, preconditioner):
     model, _ = assert_agree(
         X, outputs(X), at, solver, kernel="wendland_c2", beta=beta, alpha=1e-4
     )
-    assert is_sparse(KernelSections(model.kernel_, X), X, _large.KEPT)
+    assert is_sparse(KernelSections(model.kernel_, X), X, _iterative.KEPT)
     if preconditioner == "banded":  # a direct solution
         assert model.n_iter_ <= 2
 
@@ -373,8 +373,8 @@ def test_units_of_the_outputs(method, trend):
         found[:, told] / scales[told], np.tile(expected, (6, 1)).T, rtol=0, atol=1e-8
     )
     assert not found[:, ~told].any()
-    np.testing.assert_allclose(all_of_them.amplitude_, one.amplitude_ * scales)
-    assert 0 < all_of_them.residual_ <= 1e-10
+    np.testing.assert_allclose(all_of_them.signal_std_, one.signal_std_ * scales)
+    assert 0 < all_of_them.solver_residual_ <= 1e-10
 
 
 @pytest.mark.parametrize("value", [0.0, 3.0, -1e9])
@@ -407,7 +407,7 @@ def test_no_outputs_take_no_iterations():
         STATES, np.zeros(220)
     )
     assert model.n_iter_ == 0
-    assert model.residual_ == 0.0
+    assert model.solver_residual_ == 0.0
     assert not model.predict(ELSEWHERE).any()
 
 
@@ -418,7 +418,7 @@ def test_integer_fortran_ordered_and_flat_arrays():
     model, _ = assert_agree(X, y, X[:20] + 0.5, beta=10.0)
     assert model.dual_coef_.shape == (len(X),)
     assert model.predict(X).shape == y.shape
-    assert np.ndim(model.amplitude_) == 0
+    assert np.ndim(model.signal_std_) == 0
     other = clone(model).fit(np.asfortranarray(X), y)
     np.testing.assert_allclose(other.dual_coef_, model.dual_coef_, rtol=1e-10)
     column = clone(model).fit(X, y[:, np.newaxis])
@@ -462,7 +462,7 @@ def test_residual_is_the_true_one(tol, trend):
         residual, size = residual - Q @ (Q.T @ residual), Y - Q @ (Q.T @ Y)
         np.testing.assert_allclose(P.T @ model.dual_coef_, 0, atol=1e-10)
     true = (np.linalg.norm(residual, axis=0) / np.linalg.norm(size, axis=0)).max()
-    assert model.residual_ == pytest.approx(true, rel=1e-3)
+    assert model.solver_residual_ == pytest.approx(true, rel=1e-3)
     assert 1e-4 * tol < true <= tol
     assert model.n_iter_ >= 1
 
@@ -480,7 +480,7 @@ def test_too_few_iterations():
     with pytest.warns(ConvergenceWarning, match=r"ended after 2 iter.*max_iter"):
         model.fit(STATES, Y)
     assert model.n_iter_ == 2
-    assert 1e-10 < model.residual_ < 1
+    assert 1e-10 < model.solver_residual_ < 1
     dense = KoopmanKernelRegressor(beta=3.0).fit(STATES, Y)
     with pytest.warns(ConvergenceWarning, match=r"power function is too large"):
         P = model.power_function(ELSEWHERE)
@@ -497,7 +497,7 @@ def test_tolerance_below_rounding():
     model = KoopmanKernelRegressor(solver=ConjugateGradient(tol=1e-17), beta=0.3)
     with pytest.warns(ConvergenceWarning, match=r"tol=1.0e-17"):
         model.fit(STATES, Y)
-    assert model.residual_ < 1e-14
+    assert model.solver_residual_ < 1e-14
     dense = KoopmanKernelRegressor(beta=0.3).fit(STATES, Y)
     np.testing.assert_allclose(
         model.predict(ELSEWHERE), dense.predict(ELSEWHERE), atol=1e-12
@@ -537,7 +537,7 @@ def test_standard_deviation(kernel, alpha, trend):
 
 
 def test_many_rows_of_the_power_function(monkeypatch):
-    monkeypatch.setattr(_large, "POWER_ROWS", 7)
+    monkeypatch.setattr(_iterative, "POWER_ROWS", 7)
     model, dense = both(STATES, Y, beta=0.5)
     X = np.vstack([ELSEWHERE, ELSEWHERE + 0.1])
     np.testing.assert_allclose(
@@ -597,7 +597,7 @@ def test_dense_fit_after_an_iterative_one():
     model.set_params(solver="auto").fit(STATES, Y)
     assert model.solver_ == "pivoted_cholesky"
     assert not hasattr(model, "n_iter_")
-    assert not hasattr(model, "residual_")
+    assert not hasattr(model, "solver_residual_")
     assert hasattr(model, "rcond_")
 
 
@@ -660,18 +660,18 @@ def test_auto_for_what_does_not_fit(monkeypatch):
 
     assert solver_of() == "pivoted_cholesky"
     # A matrix of 220 x 220 with the room to factor it takes 500 kB.
-    monkeypatch.setattr(_large, "_physical_memory", lambda: 2 * 500_000)
+    monkeypatch.setattr(_iterative, "_physical_memory", lambda: 2 * 500_000)
     assert isinstance(solver_of(), ConjugateGradient)
-    monkeypatch.setattr(_large, "_physical_memory", lambda: 2 * 510_000)
+    monkeypatch.setattr(_iterative, "_physical_memory", lambda: 2 * 510_000)
     assert solver_of() == "pivoted_cholesky"
     monkeypatch.undo()
-    monkeypatch.setattr(_large, "DENSE_CENTERS", 699)
+    monkeypatch.setattr(_iterative, "DENSE_CENTERS", 699)
     sections = KernelSections(Wendland(0.02, 2, 3), SQUARE)
-    assert _large.is_large(sections, SQUARE)
-    assert not _large.is_large(KernelSections(Wendland(0.5, 2, 3), SQUARE), SQUARE)
-    assert not _large.is_large(KernelSections(MaternSobolev(0.02), SQUARE), SQUARE)
-    monkeypatch.setattr(_large, "DENSE_CENTERS", 700)
-    assert not _large.is_large(sections, SQUARE)
+    assert _iterative.is_large(sections, SQUARE)
+    assert not _iterative.is_large(KernelSections(Wendland(0.5, 2, 3), SQUARE), SQUARE)
+    assert not _iterative.is_large(KernelSections(MaternSobolev(0.02), SQUARE), SQUARE)
+    monkeypatch.setattr(_iterative, "DENSE_CENTERS", 700)
+    assert not _iterative.is_large(sections, SQUARE)
 
 
 # The parts.
@@ -769,7 +769,7 @@ def test_residual_above_that_of_nothing_is_divergence(monkeypatch):
     def worse(*_):
         return Converged(np.zeros((220, 3)), 7, 1.5)
 
-    monkeypatch.setattr(_large, "conjugate_gradients", worse)
+    monkeypatch.setattr(_iterative, "conjugate_gradients", worse)
     model = KoopmanKernelRegressor(solver=ConjugateGradient())
     with pytest.raises(ValueError, match=r"No estimate.*diverge .*1\.5e\+00.*alpha"):
         model.fit(STATES, Y)
@@ -785,7 +785,6 @@ def test_weights_that_diverge_leave_the_power_function_sound(monkeypatch, value)
         exact = model.power_function(ELSEWHERE)
         with monkeypatch.context() as patch:
             patch.setattr(
-                _large,
                 "conjugate_gradients",
                 lambda product, b, *_: Converged(np.full_like(b, value), 7, value),
             )
@@ -882,7 +881,7 @@ def test_preconditioner_does_not_depend_on_the_unit():
 def test_blocks_of_the_preconditioner(monkeypatch):
     kernel = MaternSobolev(1.0)
     expected = neighbor_preconditioner(kernel, STATES, np.ones(220), 9).toarray()
-    monkeypatch.setattr("sklearn_koopman._iterative.BATCH", 1000)
+    monkeypatch.setattr("sklearn_koopman._linalg._conjugate_gradient.BATCH", 1000)
     found = neighbor_preconditioner(kernel, STATES, np.ones(220), 9).toarray()
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
@@ -953,7 +952,7 @@ def test_sparse_blocks(monkeypatch):
     kernel = Wendland(0.2, 2, 3)
     tree = kd_tree(kernel, SQUARE)
     expected = kernel(SQUARE)
-    monkeypatch.setattr("sklearn_koopman._sparse.BLOCK", 1000)
+    monkeypatch.setattr("sklearn_koopman._matrices._sparse.BLOCK", 1000)
     for K in (
         gram(kernel, tree, SQUARE, np.ones(700)),
         cross(kernel, SQUARE, SQUARE, tree),
@@ -991,11 +990,11 @@ def test_wide_bands_are_not_factored(monkeypatch):
     def preconditioned(**parameters):
         sections = KernelSections(Wendland(0.12, 2, 3), SQUARE)
         solver = ConjugateGradient(**parameters)
-        return _large.ImplicitBasis.of(sections, np.zeros(700), None, solver)
+        return _iterative.ImplicitBasis.of(sections, np.zeros(700), None, solver)
 
     assert preconditioned().W is None
     assert preconditioned().solve(Y[:1].repeat(700, axis=0)).n_iter <= 2
-    monkeypatch.setattr(_large, "BANDED_WORK", 1e4)
+    monkeypatch.setattr(_iterative, "BANDED_WORK", 1e4)
     assert preconditioned().W is not None
     assert preconditioned(preconditioner="banded").W is None
     rows = np.diff(preconditioned().W.indptr)
@@ -1006,7 +1005,9 @@ def test_wide_bands_are_not_factored(monkeypatch):
 
 def test_neighbours_of_kernels_without_compact_support():
     sections = KernelSections(MaternSobolev(0.5), SQUARE)
-    basis = _large.ImplicitBasis.of(sections, np.zeros(700), None, ConjugateGradient())
+    basis = _iterative.ImplicitBasis.of(
+        sections, np.zeros(700), None, ConjugateGradient()
+    )
     assert np.diff(basis.W.indptr).max() == 31
 
 

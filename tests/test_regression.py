@@ -426,7 +426,7 @@ def test_power_function_bounds_the_error_in_the_native_space(method):
 def test_standard_deviation_is_that_of_a_gaussian_process(scattered):
     X, y, X_new = scattered
     model = KoopmanKernelRegressor(beta=1.5, alpha=0.1).fit(X, y[:, 0])
-    variance = model.amplitude_**2
+    variance = model.signal_std_**2
     process = GaussianProcessRegressor(
         ConstantKernel(variance) * Matern(1.5, nu=1.5),
         alpha=0.1 * variance,
@@ -437,7 +437,7 @@ def test_standard_deviation_is_that_of_a_gaussian_process(scattered):
     assert_allclose(ours, mean, rtol=1e-8)
     # Theirs is that of the function, ours includes the noise of the outputs.
     assert_allclose(our_std**2, std**2 + 0.1 * variance, rtol=1e-8)
-    assert_allclose(model.noise_**2, 0.1 * variance)
+    assert_allclose(model.noise_std_**2, 0.1 * variance)
     # The amplitude maximises the likelihood.
     likelihoods = [
         GaussianProcessRegressor(
@@ -457,7 +457,7 @@ def test_standard_deviation_covers_what_it_should():
     factor = np.linalg.cholesky(9 * matern(X, X, 1.0) + 0.04 * np.eye(300))
     y = factor @ rng.standard_normal((300, 40))
     model = KoopmanKernelRegressor(alpha=0.04 / 9).fit(X[:200], y[:200])
-    assert_allclose(model.amplitude_.mean(), 3.0, rtol=0.05)
+    assert_allclose(model.signal_std_.mean(), 3.0, rtol=0.05)
     mean, std = model.predict(X[200:], return_std=True)
     assert np.mean(np.abs(y[200:] - mean) < 1.96 * std) == pytest.approx(0.95, abs=0.01)
 
@@ -473,7 +473,7 @@ def test_effective_parameters_are_the_trace_of_the_hat_matrix(scattered, alpha, 
     model.fit(X, X[:, 0] ** 3)
     residual = X[:, 0] ** 3 - hat @ X[:, 0] ** 3
     freedom = len(X) - np.trace(hat)
-    assert_allclose(model.noise_, np.sqrt(residual @ residual / freedom), rtol=1e-6)
+    assert_allclose(model.noise_std_, np.sqrt(residual @ residual / freedom), rtol=1e-6)
 
 
 def test_standard_deviation_of_least_squares_covers_what_it_should():
@@ -487,7 +487,7 @@ def test_standard_deviation_of_least_squares_covers_what_it_should():
         alpha=0.25 / 4,
         centers=SeparatedCenterSelector(0.2),
     ).fit(X[:300], y[:300])
-    assert_allclose(model.noise_.mean(), 0.5, rtol=0.03)
+    assert_allclose(model.noise_std_.mean(), 0.5, rtol=0.03)
     mean, std = model.predict(X[300:], return_std=True)
     assert np.mean(np.abs(y[300:] - mean) < 1.96 * std) == pytest.approx(0.95, abs=0.02)
 
@@ -501,9 +501,9 @@ def test_noise_of_least_squares_is_that_of_the_residuals():
     ).fit(X, y)
     residual = y - model.predict(X)
     assert_allclose(
-        model.noise_, np.sqrt(residual @ residual / (3000 - len(model.centers_)))
+        model.noise_std_, np.sqrt(residual @ residual / (3000 - len(model.centers_)))
     )
-    assert_allclose(model.noise_, 0.2, rtol=0.05)
+    assert_allclose(model.noise_std_, 0.2, rtol=0.05)
 
 
 # --- Centres in all their forms ------------------------------------------------------

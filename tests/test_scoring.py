@@ -16,9 +16,9 @@ from sklearn.preprocessing import StandardScaler
 from sklearn_koopman import (
     KernelEDMD,
     TrajectoryKFold,
-    forecast_score,
+    make_forecast_scorer,
+    make_valid_time_scorer,
     trajectory_pairs,
-    valid_horizon,
 )
 from sklearn_koopman.datasets import make_pendulum
 
@@ -62,7 +62,7 @@ def test_error_over_the_horizon(swings, model, n_steps, discount, relift):
     errors = errors_by_loops(model, *swings, n_steps, relift)
     weights = discount ** np.arange(n_steps)
     expected = -np.sqrt(errors.mean(axis=0) @ weights / weights.sum())
-    scorer = forecast_score(n_steps, discount=discount, relift=relift)
+    scorer = make_forecast_scorer(n_steps, discount=discount, relift=relift)
     score = scorer(model, pairs.X, pairs.y, sample_index=pairs.sample_index)
     assert score == pytest.approx(expected, rel=1e-9)
     # Rows in any order, with gaps in the clock, are the same rows.
@@ -80,7 +80,9 @@ def test_several_outputs_count_alike(swings):
     model.fit(pairs.X[::3], X_next=pairs.X_next[::3])
     errors = errors_by_loops(model, trajectories, trajectories, 5)
     expected = -np.sqrt(errors.mean() / 2)
-    given = forecast_score(5)(model, pairs.X, pairs.y, sample_index=pairs.sample_index)
+    given = make_forecast_scorer(5)(
+        model, pairs.X, pairs.y, sample_index=pairs.sample_index
+    )
     assert given == pytest.approx(expected, rel=1e-9)
 
 
@@ -94,14 +96,14 @@ def test_states_are_the_default_outputs(swings):
     model = KernelEDMD(trend="linear", n_modes=0).fit(X, sample_index=index)
     errors = errors_by_loops(model, trajectories, trajectories, 6)
     expected = -np.sqrt(errors.mean() / 2)
-    assert forecast_score(6)(model, X, sample_index=index) == pytest.approx(
+    assert make_forecast_scorer(6)(model, X, sample_index=index) == pytest.approx(
         expected, rel=1e-9
     )
     # A single trajectory needs no clock.
     first = trajectories[1]
     model.fit(first)
     errors = errors_by_loops(model, [first], [first], 6)
-    assert forecast_score(6)(model, first) == pytest.approx(
+    assert make_forecast_scorer(6)(model, first) == pytest.approx(
         -np.sqrt(errors.mean() / 2), rel=1e-9
     )
 
@@ -114,7 +116,7 @@ def test_valid_horizon_counts_the_steps_before_the_first_miss(swings, model, tol
     for row in errors:
         bad = np.flatnonzero(row > tolerance**2)
         counts.append(bad[0] if len(bad) else 12)
-    scorer = valid_horizon(12, tolerance)
+    scorer = make_valid_time_scorer(12, tolerance)
     score = scorer(model, pairs.X, pairs.y, sample_index=pairs.sample_index)
     assert score == pytest.approx(np.mean(counts))
     assert (tolerance < 5) == (0 < score < 12)
@@ -133,15 +135,15 @@ def test_ends_of_trajectories_are_seen_where_outputs_are_states(swings, delays, 
         )
     model = KernelEDMD(trend="linear", n_modes=0)
     model.fit(pairs.X[::2], pairs.y[::2], X_next=pairs.X_next[::2])
-    for scorer in (forecast_score(8), valid_horizon(8, 0.01)):
+    for scorer in (make_forecast_scorer(8), make_valid_time_scorer(8, 0.01)):
         seen = scorer(model, pairs.X, pairs.y)
         assert seen == scorer(model, pairs.X, pairs.y, sample_index=pairs.sample_index)
         frame = pd.DataFrame(pairs.X)
         assert seen == scorer(model, frame.to_numpy(), pd.DataFrame(pairs.y))
     # Had it crossed the ends, the error would be as large as the swings.
     consecutive = np.arange(len(pairs.X))
-    wrong = forecast_score(8)(model, pairs.X, pairs.y, sample_index=consecutive)
-    assert wrong < 3 * forecast_score(8)(model, pairs.X, pairs.y)
+    wrong = make_forecast_scorer(8)(model, pairs.X, pairs.y, sample_index=consecutive)
+    assert wrong < 3 * make_forecast_scorer(8)(model, pairs.X, pairs.y)
 
 
 def test_successors_are_found_whatever_the_lag_and_precision(swings):
@@ -150,7 +152,7 @@ def test_successors_are_found_whatever_the_lag_and_precision(swings):
     pairs = trajectory_pairs(trajectories, lag=3)
     model = KernelEDMD(trend="linear", n_modes=0).fit(pairs.X, X_next=pairs.X_next)
     order = np.random.default_rng(0).permutation(len(pairs.X))
-    scorer = forecast_score(4)
+    scorer = make_forecast_scorer(4)
     wanted = scorer(model, pairs.X, pairs.y, pairs.sample_index)
     assert scorer(model, pairs.X, pairs.y) == wanted
     assert scorer(model, pairs.X[order], pairs.y[order]) == pytest.approx(wanted)
@@ -162,16 +164,16 @@ def test_successors_are_found_whatever_the_lag_and_precision(swings):
 def test_rows_that_cannot_be_linked_are_refused(swings, model):
     """Outputs that are no states, a model of several trajectories, and no clock."""
     pairs = trajectory_pairs(*swings)
-    for scorer in (forecast_score(4), valid_horizon(4, 0.1)):
+    for scorer in (make_forecast_scorer(4), make_valid_time_scorer(4, 0.1)):
         with pytest.raises(ValueError, match=r"pass sample_index.*metadata_routing"):
             scorer(model, pairs.X, pairs.y)
     with pytest.raises(ValueError, match="pass sample_index"):
-        forecast_score(4)(model, pairs.X)
+        make_forecast_scorer(4)(model, pairs.X)
     # A model of one trajectory in the order of time is scored on another.
     trajectories, outputs = swings
     one = KernelEDMD(n_modes=0).fit(trajectories[1][:-1], outputs[1][1:])
     x, y = trajectories[2][:-1], outputs[2][1:]
-    assert forecast_score(4)(one, x, y) == forecast_score(4)(
+    assert make_forecast_scorer(4)(one, x, y) == make_forecast_scorer(4)(
         one, x, y, sample_index=range(len(x))
     )
 
@@ -185,14 +187,14 @@ def test_rounded_states_are_not_mistaken_for_each_other(swings, decimals):
     model = KernelEDMD(n_modes=0, alpha=1e-3)
     model.fit(pairs.X, pairs.y, sample_index=pairs.sample_index)
     with pytest.raises(ValueError, match="pass sample_index"):
-        forecast_score(4)(model, pairs.X, pairs.y)
+        make_forecast_scorer(4)(model, pairs.X, pairs.y)
 
 
 def test_pipeline_of_one_step(swings):
     trajectories, _ = swings
     pipeline = make_pipeline(KernelEDMD(n_modes=0)).fit(trajectories[1])
-    score = forecast_score(4)(pipeline, trajectories[1])
-    assert score == forecast_score(4)(pipeline[-1], trajectories[1])
+    score = make_forecast_scorer(4)(pipeline, trajectories[1])
+    assert score == make_forecast_scorer(4)(pipeline[-1], trajectories[1])
 
 
 def test_names_of_features_reach_the_estimator(swings):
@@ -202,7 +204,7 @@ def test_names_of_features_reach_the_estimator(swings):
         KernelEDMD(trend="linear", n_modes=0),
         X,
         y,
-        scoring=forecast_score(3),
+        scoring=make_forecast_scorer(3),
         cv=TrajectoryKFold(3),
         error_score="raise",
     )
@@ -219,8 +221,8 @@ def test_states_in_a_pipeline_are_compared_as_it_transforms_them(swings):
     pipeline.fit(X, kerneledmd__sample_index=index)
     Z = pipeline[0].transform(X)
     bare = clone(pipeline[-1]).fit(Z, sample_index=index)
-    score = forecast_score(5)(pipeline, X, sample_index=index)
-    assert score == forecast_score(5)(bare, Z, sample_index=index)
+    score = make_forecast_scorer(5)(pipeline, X, sample_index=index)
+    assert score == make_forecast_scorer(5)(bare, Z, sample_index=index)
     assert -0.1 < score < 0
 
 
@@ -231,7 +233,10 @@ def test_search_without_and_with_metadata_routing(swings, n_jobs):
     search = GridSearchCV(
         make_pipeline(StandardScaler(), KernelEDMD(trend="linear", n_modes=0)),
         {"kerneledmd__beta": [0.05, 5.0], "kerneledmd__kernel": ["wendland_c4"]},
-        scoring={"error": forecast_score(10), "steps": valid_horizon(10, 0.05)},
+        scoring={
+            "error": make_forecast_scorer(10),
+            "steps": make_valid_time_scorer(10, 0.05),
+        },
         refit="error",
         cv=TrajectoryKFold(3),
         n_jobs=n_jobs,
@@ -266,7 +271,7 @@ def test_search_over_states_alone(swings):
         scores = cross_validate(
             KernelEDMD(trend="linear", n_modes=0),
             X,
-            scoring=forecast_score(5),
+            scoring=make_forecast_scorer(5),
             cv=TrajectoryKFold(3),
             params={"groups": groups, "sample_index": index},
             error_score="raise",
@@ -276,7 +281,7 @@ def test_search_over_states_alone(swings):
     lone = cross_val_score(
         KernelEDMD(trend="linear", n_modes=0),
         trajectories[1],
-        scoring=forecast_score(5),
+        scoring=make_forecast_scorer(5),
         cv=TrajectoryKFold(3),
         error_score="raise",
     )
@@ -291,37 +296,55 @@ def test_divergence_scores_what_was_asked_for():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with pytest.raises(ValueError, match="left the range of numbers"):
-            forecast_score(1010, error_score="raise")(
+            make_forecast_scorer(1010, error_score="raise")(
                 model, trajectory + 1e-3, None, clock
             )
         for value in (-7.0, -np.inf, np.nan):
-            scorer = forecast_score(1010, error_score=value)
+            scorer = make_forecast_scorer(1010, error_score=value)
             np.testing.assert_equal(
                 scorer(model, trajectory + 1e-3, None, clock), value
             )
-        steps = valid_horizon(1010, 1.0)(model, trajectory + 1e-3, None, clock)
+        steps = make_valid_time_scorer(1010, 1.0)(model, trajectory + 1e-3, None, clock)
     assert 8 < steps < 11  # 2 ** s times the error that it starts with
 
 
 def test_scorers_can_be_pickled_compared_and_read():
-    for scorer in (forecast_score(5, error_score=-9.0), valid_horizon(3, 0.1)):
+    for scorer in (
+        make_forecast_scorer(5, error_score=-9.0),
+        make_valid_time_scorer(3, 0.1),
+    ):
         assert pickle.loads(pickle.dumps(scorer)) == scorer
         assert clone(scorer, safe=False) == scorer
-    assert repr(valid_horizon(3, 0.1)) == (
-        "valid_horizon(n_steps=3, relift=False, tolerance=0.1)"
+    assert repr(make_valid_time_scorer(3, 0.1)) == (
+        "make_valid_time_scorer(n_steps=3, relift=False, tolerance=0.1)"
     )
-    assert forecast_score(5) != forecast_score(6)
+    assert make_forecast_scorer(5) != make_forecast_scorer(6)
 
 
 BAD = {
-    "no steps": (lambda: forecast_score(0), "n_steps must be an integer"),
-    "half steps": (lambda: valid_horizon(1.5, 1.0), "n_steps must be an integer"),
-    "no weight": (lambda: forecast_score(3, discount=0.0), "discount must be a finite"),
-    "usury": (lambda: forecast_score(3, discount=1.1), "discount must be at most 1"),
-    "no tolerance": (lambda: valid_horizon(3, 0.0), "tolerance must be a finite"),
-    "relift": (lambda: forecast_score(3, relift="yes"), "relift must be True or"),
-    "error_score": (lambda: forecast_score(3, error_score="no"), "error_score must be"),
-    "NaN": (lambda: valid_horizon(3, np.nan), "tolerance must be a finite"),
+    "no steps": (lambda: make_forecast_scorer(0), "n_steps must be an integer"),
+    "half steps": (
+        lambda: make_valid_time_scorer(1.5, 1.0),
+        "n_steps must be an integer",
+    ),
+    "no weight": (
+        lambda: make_forecast_scorer(3, discount=0.0),
+        "discount must be a finite",
+    ),
+    "usury": (
+        lambda: make_forecast_scorer(3, discount=1.1),
+        "discount must be at most 1",
+    ),
+    "no tolerance": (
+        lambda: make_valid_time_scorer(3, 0.0),
+        "tolerance must be a finite",
+    ),
+    "relift": (lambda: make_forecast_scorer(3, relift="yes"), "relift must be True or"),
+    "error_score": (
+        lambda: make_forecast_scorer(3, error_score="no"),
+        "error_score must be",
+    ),
+    "NaN": (lambda: make_valid_time_scorer(3, np.nan), "tolerance must be a finite"),
 }
 
 
@@ -334,11 +357,13 @@ def test_bad_parameters(make, message):
 def test_bad_data(swings, model):
     pairs = trajectory_pairs(*swings)
     with pytest.raises(ValueError, match=r"n_steps=41: none of the 150 held-out rows"):
-        forecast_score(41)(model, pairs.X, pairs.y, sample_index=pairs.sample_index)
+        make_forecast_scorer(41)(
+            model, pairs.X, pairs.y, sample_index=pairs.sample_index
+        )
     with pytest.raises(ValueError, match="inconsistent numbers of samples"):
-        forecast_score(4)(model, pairs.X, pairs.y[:-1])
+        make_forecast_scorer(4)(model, pairs.X, pairs.y[:-1])
     with pytest.raises(TypeError, match=r"LinearRegression has no method forecast"):
-        forecast_score(4)(
+        make_forecast_scorer(4)(
             LinearRegression().fit(pairs.X, pairs.y),
             pairs.X,
             pairs.y,
@@ -347,7 +372,7 @@ def test_bad_data(swings, model):
     with pytest.raises(
         ValueError, match="y has 2 outputs, but the estimator forecasts 1"
     ):
-        forecast_score(4)(model, pairs.X, pairs.X_next, pairs.sample_index)
+        make_forecast_scorer(4)(model, pairs.X, pairs.X_next, pairs.sample_index)
 
 
 @pytest.fixture(scope="module")
@@ -360,16 +385,16 @@ def states():
 
 def test_score_in_blocks_of_starts(states, monkeypatch):
     pairs, model = states
-    once = forecast_score(4)(model, pairs.X, pairs.y, pairs.sample_index)
+    once = make_forecast_scorer(4)(model, pairs.X, pairs.y, pairs.sample_index)
     monkeypatch.setattr("sklearn_koopman.scoring.BLOCK", 40)
-    blocks = forecast_score(4)(model, pairs.X, pairs.y, pairs.sample_index)
+    blocks = make_forecast_scorer(4)(model, pairs.X, pairs.y, pairs.sample_index)
     assert blocks == pytest.approx(once, rel=1e-12)
 
 
 def test_an_error_of_the_tolerance_is_tolerated():
     """A state at rest, off by one from what it is said to be."""
     model = KernelEDMD("wendland_c0", n_modes=0).fit([[0.0], [0.0]])
-    assert valid_horizon(3, 1.0)(model, np.zeros((3, 1)), np.ones((3, 1))) == 3
+    assert make_valid_time_scorer(3, 1.0)(model, np.zeros((3, 1)), np.ones((3, 1))) == 3
 
 
 def test_states_at_rest_follow_each_other():
@@ -377,14 +402,14 @@ def test_states_at_rest_follow_each_other():
     x = np.concatenate([np.zeros(5), np.linspace(0, 1, 6)])[:, np.newaxis]
     model = KernelEDMD(trend="linear", n_modes=0, alpha=1e-3).fit(x)
     X, y = x[:-1], x[1:]
-    expected = forecast_score(3)(model, X, y, sample_index=range(10))
-    assert forecast_score(3)(model, X, y) == expected
+    expected = make_forecast_scorer(3)(model, X, y, sample_index=range(10))
+    assert make_forecast_scorer(3)(model, X, y) == expected
 
 
 def test_outputs_in_single_precision_are_found_among_states_in_double(states):
     pairs, model = states
-    wanted = forecast_score(4)(model, pairs.X, pairs.y, pairs.sample_index)
-    single = forecast_score(4)(model, pairs.X, pairs.y.astype(np.float32))
+    wanted = make_forecast_scorer(4)(model, pairs.X, pairs.y, pairs.sample_index)
+    single = make_forecast_scorer(4)(model, pairs.X, pairs.y.astype(np.float32))
     assert single == pytest.approx(wanted, abs=1e-6)
 
 
@@ -395,9 +420,9 @@ def test_outputs_that_do_not_tell_what_follows(states, kind):
     X = pairs.X[:39]
     y = np.where(np.arange(39) % 4 == 0, pairs.X_next[:39, 0], -7.0)
     model = KernelEDMD(trend="linear", n_modes=0).fit(X, y)
-    wanted = forecast_score(4)(model, X, y, sample_index=range(39))
+    wanted = make_forecast_scorer(4)(model, X, y, sample_index=range(39))
     states = X.astype(object) if kind == "states as objects" else X
-    assert forecast_score(4)(model, states, y) == wanted
+    assert make_forecast_scorer(4)(model, states, y) == wanted
 
 
 def test_divergence_by_eigenvalues_scores_what_was_asked_for():
@@ -405,5 +430,5 @@ def test_divergence_by_eigenvalues_scores_what_was_asked_for():
     x = 2.0 ** np.arange(-10, 4)[:, np.newaxis]
     model = KernelEDMD(trend="linear", n_modes=2).fit(x)
     trajectory = 2.0 ** np.arange(-1000, 20)[:, np.newaxis] + 1e-3
-    scorer = forecast_score(1010, error_score=-7.0)
+    scorer = make_forecast_scorer(1010, error_score=-7.0)
     assert scorer(model, trajectory, None, range(1020)) == -7.0

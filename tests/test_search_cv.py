@@ -37,11 +37,10 @@ from sklearn_koopman import (
     KoopmanKernelRegressorCV,
     SeparatedCenterSelector,
     TrajectoryKFold,
-    _crossval,
-    _heldout,
-    _press,
 )
-from sklearn_koopman._growth import DEGREES
+from sklearn_koopman._linalg import _leave_out, _leave_out_least_squares
+from sklearn_koopman._matrices._polynomial import DEGREES
+from sklearn_koopman._regression import _candidates
 from sklearn_koopman.kernels import Gaussian, MaternSobolev, as_kernel
 
 ROUTES = ["folds", "cholesky", "eigen"]
@@ -93,8 +92,8 @@ def refitted(X, y, folds, centers, method, options):
 
 
 def held_out(X, y, folds, centers, method, kernel, beta, alphas, trend, **options):
-    left = [_heldout.Fold.of(train, test, len(X)) for train, test in folds]
-    search = _crossval.Search.of(
+    left = [_leave_out.Fold.of(train, test, len(X)) for train, test in folds]
+    search = _candidates.Search.of(
         X,
         y,
         centers,
@@ -113,10 +112,12 @@ def force(monkeypatch):
     """Choose the way to the held-out values, and forbid refits on it."""
 
     def forced(route, refits=False):
-        monkeypatch.setattr(_heldout, "interpolation_route", lambda *args: route)
-        monkeypatch.setattr(_press, "regression_route", lambda *args: route)
+        monkeypatch.setattr(_leave_out, "interpolation_route", lambda *args: route)
+        monkeypatch.setattr(
+            _leave_out_least_squares, "regression_route", lambda *args: route
+        )
         if not refits:
-            monkeypatch.setattr(_crossval.Search, "_refit", refuse)
+            monkeypatch.setattr(_candidates.Search, "_refit", refuse)
 
     def refuse(self, kernel, kept, alpha):
         def predicted(i):
@@ -254,7 +255,7 @@ def test_the_cheapest_way_follows_from_counting():
     def interpolation(n_folds, n_alphas, M=2400):
         none = np.empty((0, 1))
         changes = [
-            _heldout.Change(
+            _leave_out.Change(
                 slice(0, 0),
                 np.arange(size),
                 none,
@@ -264,7 +265,7 @@ def test_the_cheapest_way_follows_from_counting():
             )
             for size in [M // n_folds] * n_folds
         ]
-        return _heldout.interpolation_route(M, changes, n_alphas)
+        return _leave_out.interpolation_route(M, changes, n_alphas)
 
     assert interpolation(4, 5) == "folds"
     assert interpolation(48, 5) == "cholesky"
@@ -273,8 +274,8 @@ def test_the_cheapest_way_follows_from_counting():
 
     def least_squares(n_folds, n_alphas, M=2400, n=10_000):
         parts = np.array_split(np.arange(n), n_folds)
-        folds = [_heldout.Fold(part, part) for part in parts]
-        return _press.regression_route(M, folds, n, n_alphas)
+        folds = [_leave_out.Fold(part, part) for part in parts]
+        return _leave_out_least_squares.regression_route(M, folds, n, n_alphas)
 
     assert least_squares(4, 5) == "folds"
     assert least_squares(48, 1) == "cholesky"
@@ -329,7 +330,7 @@ def test_scores_and_winner_are_those_of_a_grid_search(samples, trend, method, n_
         assert_allclose(found, expected)
     assert_allclose(ours.power_function(X + 0.1), best.power_function(X + 0.1))
     assert ours.score(X, y) == best.score(X, y)
-    for name in ("dual_coef_", "centers_", "amplitude_", "noise_", "rcond_"):
+    for name in ("dual_coef_", "centers_", "signal_std_", "noise_std_", "rcond_"):
         assert_allclose(getattr(ours, name), getattr(best, name))
     assert hasattr(ours, "trend_coef_") == (trend is not None)
     if method == "interpolation":

@@ -7,8 +7,8 @@ import pytest
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 
 from sklearn_koopman import KoopmanKernelRegressor
-from sklearn_koopman import _sections as sections_module
-from sklearn_koopman._sections import (
+from sklearn_koopman._matrices import _sections as sections_module
+from sklearn_koopman._matrices._sections import (
     DistanceSections,
     KernelSections,
     gram_matrix,

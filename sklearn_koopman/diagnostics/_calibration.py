@@ -12,8 +12,8 @@ from sklearn.base import clone
 from sklearn.model_selection import check_cv
 from sklearn.utils import Bunch, indexable
 
-from sklearn_koopman._pipelines import transformed, unwrap
-from sklearn_koopman._validation import check_positive
+from sklearn_koopman._utils._pipeline import transformed, unwrap
+from sklearn_koopman._utils._validation import check_positive
 from sklearn_koopman.trajectories import TrajectoryKFold
 
 

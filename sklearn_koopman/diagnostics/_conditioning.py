@@ -7,18 +7,16 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky, eigvalsh
 from scipy.linalg.blas import dsymv
 from scipy.linalg.lapack import dpotrs
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 from sklearn.utils import check_array
 
-from sklearn_koopman._sections import KernelSections, gram_matrix
-from sklearn_koopman._validation import check_number
+from sklearn_koopman._matrices._sections import KernelSections, gram_matrix
+from sklearn_koopman._utils._typing import Array
+from sklearn_koopman._utils._validation import check_number
 from sklearn_koopman.kernels import as_kernel
-
-Array = NDArray[np.float64]
 
 # Up to this many centres all eigenvalues are computed.
 DENSE = 1500

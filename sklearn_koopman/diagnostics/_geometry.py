@@ -6,7 +6,6 @@ import warnings
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
@@ -14,11 +13,9 @@ from scipy.spatial.distance import cdist
 from scipy.special import digamma
 from sklearn.utils import check_array, check_random_state, gen_batches
 
-from sklearn_koopman._validation import check_integer, check_magnitude
-from sklearn_koopman.centers import distinct_rows
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from sklearn_koopman._utils._rows import distinct_rows
+from sklearn_koopman._utils._typing import Array, Indices
+from sklearn_koopman._utils._validation import check_integer, check_magnitude
 
 # Rows whose neighbours are sought at a time.
 BATCH = 2**16

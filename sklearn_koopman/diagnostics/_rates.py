@@ -19,7 +19,7 @@ from sklearn.gaussian_process.kernels import (
 )
 from sklearn.utils import Bunch
 
-from sklearn_koopman._validation import check_integer, check_number
+from sklearn_koopman._utils._validation import check_integer, check_number
 from sklearn_koopman.kernels import RadialKernel, as_kernel
 
 

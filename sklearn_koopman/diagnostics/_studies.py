@@ -14,8 +14,9 @@ from sklearn.base import clone
 from sklearn.gaussian_process.kernels import Kernel, WhiteKernel
 from sklearn.utils import Bunch, check_array, check_consistent_length
 
-from sklearn_koopman._pipelines import transformed, unwrap
-from sklearn_koopman._validation import check_number, check_positive
+from sklearn_koopman._utils._pipeline import transformed, unwrap
+from sklearn_koopman._utils._typing import Array
+from sklearn_koopman._utils._validation import check_number, check_positive
 from sklearn_koopman.centers import SeparatedCenterSelector, sequential_centers
 from sklearn_koopman.diagnostics._conditioning import (
     condition_number,
@@ -30,8 +31,6 @@ from sklearn_koopman.diagnostics._geometry import (
 )
 from sklearn_koopman.diagnostics._rates import sobolev_rates
 from sklearn_koopman.kernels import as_kernel
-
-Array = NDArray[np.float64]
 
 # Errors below this, relative to the outputs, are rounding rather than approximation;
 ROUNDING = 1e-12

@@ -7,9 +7,9 @@ matplotlib: ``pip install "sklearn-koopman[plot]"``.
 
 from sklearn_koopman.plotting._centers import CenterSelectionDisplay
 from sklearn_koopman.plotting._conditioning import ConditioningDisplay
-from sklearn_koopman.plotting._dynamics import ForecastDisplay
+from sklearn_koopman.plotting._convergence import ConvergenceDisplay
+from sklearn_koopman.plotting._forecast import ForecastDisplay
 from sklearn_koopman.plotting._spectrum import SpectrumDisplay
-from sklearn_koopman.plotting._studies import ConvergenceDisplay
 from sklearn_koopman.plotting._surface import SurfaceDisplay
 
 __all__ = [

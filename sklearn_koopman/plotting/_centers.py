@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_koopman._pipelines import unwrap
+from sklearn_koopman._utils._pipeline import unwrap
+from sklearn_koopman._utils._typing import Array
 from sklearn_koopman.diagnostics import fill_distance, separation_distance
 from sklearn_koopman.plotting._inputs import (
     known_centers,
@@ -19,8 +19,6 @@ from sklearn_koopman.plotting._inputs import (
 from sklearn_koopman.plotting._style import BLUE, axes_for, line_style, merged
 
 __all__ = ["CenterSelectionDisplay"]
-
-Array = NDArray[np.float64]
 
 
 class CenterSelectionDisplay:

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sklearn_koopman._utils._typing import Array
 from sklearn_koopman.plotting._inputs import check_choice, check_study, kernel_name
 from sklearn_koopman.plotting._style import (
     axes_for,
@@ -21,7 +21,6 @@ from sklearn_koopman.plotting._style import (
 
 __all__ = ["ConditioningDisplay"]
 
-Array = NDArray[np.float64]
 
 CONDITIONS = {
     "condition_number": "condition number",

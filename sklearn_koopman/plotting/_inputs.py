@@ -8,12 +8,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sklearn_koopman._pipelines import unwrap
-from sklearn_koopman._validation import check_integer, check_number
-
-Array = NDArray[np.float64]
+from sklearn_koopman._utils._pipeline import unwrap
+from sklearn_koopman._utils._typing import Array
+from sklearn_koopman._utils._validation import check_integer, check_number
 
 
 def known_centers(estimator: Any) -> Array | None:

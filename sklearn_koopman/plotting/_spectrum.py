@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_koopman._pipelines import unwrap
-from sklearn_koopman._validation import check_flag
+from sklearn_koopman._utils._pipeline import unwrap
+from sklearn_koopman._utils._typing import Array
+from sklearn_koopman._utils._validation import check_flag
 from sklearn_koopman.plotting._style import axes_for, line_style, merged
 
 __all__ = ["SpectrumDisplay"]
 
-Array = NDArray[np.float64]
 
 SMALLEST = 1e-6  # residuals below it all get the same colour
 

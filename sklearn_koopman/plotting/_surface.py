@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_koopman._pipelines import unwrap
-from sklearn_koopman._validation import check_integer, check_number
+from sklearn_koopman._utils._pipeline import unwrap
+from sklearn_koopman._utils._typing import Array
+from sklearn_koopman._utils._validation import check_integer, check_number
 from sklearn_koopman.plotting._inputs import (
     check_limits,
     column,
@@ -31,7 +31,6 @@ from sklearn_koopman.plotting._style import (
 
 __all__ = ["SurfaceDisplay"]
 
-Array = NDArray[np.float64]
 
 # Surfaces are drawn this far, in ranges, beyond the outputs.
 MARGIN = 0.25

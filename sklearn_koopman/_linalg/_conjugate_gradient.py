@@ -11,15 +11,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky, qr, solve_triangular
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
+from sklearn_koopman._utils._typing import Array, Indices
 from sklearn_koopman.kernels import RadialKernel
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 Product = Callable[[Array], Array]
 
 # Entries of the small matrices that are factored at once.

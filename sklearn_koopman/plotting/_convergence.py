@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sklearn_koopman._utils._typing import Array
 from sklearn_koopman.plotting._inputs import check_choice, check_study, kernel_name
 from sklearn_koopman.plotting._style import (
     axes_for,
@@ -21,7 +22,6 @@ from sklearn_koopman.plotting._style import (
 
 __all__ = ["ConvergenceDisplay"]
 
-Array = NDArray[np.float64]
 
 ERRORS = {"sup_error": "largest error", "rms_error": "root mean square error"}
 ABOVE = 1.5  # the guarantee is drawn this many times above the errors

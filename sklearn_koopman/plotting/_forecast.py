@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_koopman._pipelines import unwrap
-from sklearn_koopman._validation import check_flag, check_integer, check_number
+from sklearn_koopman._utils._pipeline import unwrap
+from sklearn_koopman._utils._typing import Array
+from sklearn_koopman._utils._validation import check_flag, check_integer, check_number
 from sklearn_koopman.plotting._inputs import column, one_step, times_of
 from sklearn_koopman.plotting._style import (
     COLORS,
@@ -24,7 +24,6 @@ from sklearn_koopman.plotting._style import (
 
 __all__ = ["ForecastDisplay"]
 
-Array = NDArray[np.float64]
 
 TRUTH = "measured"
 
@@ -73,7 +72,7 @@ class ForecastDisplay:
     See Also
     --------
     SpectrumDisplay : The eigenvalues that a forecast is made of.
-    sklearn_koopman.forecast_score : Scores forecasts from all starts.
+    sklearn_koopman.make_forecast_scorer : Scores forecasts from all starts.
 
     Notes
     -----

@@ -11,14 +11,13 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtri
 from scipy.sparse import csr_array
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_random_state, gen_batches
 
-from sklearn_koopman import _sparse
-from sklearn_koopman._iterative import (
+from sklearn_koopman._linalg._cholesky import cholesky
+from sklearn_koopman._linalg._conjugate_gradient import (
     Converged,
     Product,
     beyond_rounding,
@@ -28,8 +27,10 @@ from sklearn_koopman._iterative import (
     neighbor_preconditioner,
     pivoted_factor,
 )
-from sklearn_koopman._native import Tail, cholesky, polynomial
-from sklearn_koopman._sections import (
+from sklearn_koopman._linalg._direct import Solution, UnsuitableKernelError
+from sklearn_koopman._matrices import _sparse
+from sklearn_koopman._matrices._polynomial import PolynomialTrend, polynomial
+from sklearn_koopman._matrices._sections import (
     KernelSections,
     Sections,
     gram_matrix,
@@ -39,11 +40,8 @@ from sklearn_koopman._sections import (
     product,
     sparse_matrix,
 )
-from sklearn_koopman._solvers import Solution, UnsuitableKernelError
+from sklearn_koopman._utils._typing import Array
 from sklearn_koopman.solvers import ConjugateGradient
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 # Up to so many centres a dense matrix is a matter of a second, ...
 DENSE_CENTERS = 5000
@@ -88,7 +86,7 @@ class ImplicitBasis:
 
     sections: KernelSections
     excess: Array
-    tail: Tail | None
+    tail: PolynomialTrend | None
     Q: Array  # (M, q): orthonormal values at the centres of the polynomials seen there
     product: Product
     precondition: Product
@@ -100,7 +98,7 @@ class ImplicitBasis:
         cls,
         sections: KernelSections,
         nugget: Array,
-        tail: Tail | None,
+        tail: PolynomialTrend | None,
         solver: ConjugateGradient,
         n_jobs: int | None = None,
     ) -> ImplicitBasis:

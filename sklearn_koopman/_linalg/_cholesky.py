@@ -15,21 +15,18 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dpocon, dpotrf, dtrtrs
-from sklearn.utils import gen_batches
 
-from sklearn_koopman._sections import (
+from sklearn_koopman._matrices._polynomial import PolynomialTrend, polynomial
+from sklearn_koopman._matrices._sections import (
     Sections,
     by_rows,
     gram_matrix,
     matrix,
     one_thread,
 )
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from sklearn_koopman._utils._typing import Array
 
 # Below this reciprocal condition number the factorisation succeeded by chance, and its
 # last rows mean nothing.
@@ -37,69 +34,6 @@ SINGULAR = 1e-17
 # From this size on, in bytes, the factorisation by several threads of OpenBLAS ends in
 # a segmentation fault (seen with its 32-bit integers in SciPy 1.11 to 1.17).
 LARGE = 2**31
-
-
-@dataclass(frozen=True)
-class Tail:
-    """Polynomials of degree 0 or 1, sorted by what the centres tell of them.
-
-    As coefficients of the monomials, which are 1, and x - origin for degree 1: `seen`
-    holds q polynomials that are orthonormal on the centres, `unseen` those that vanish
-    there, as some do where the centres are few or a feature is constant on them.
-    """
-
-    origin: Array
-    seen: Array  # (n_terms, q)
-    unseen: Array  # (n_terms, n_terms - q)
-
-    @classmethod
-    def on(cls, centers: Array, degree: int, rows: Array) -> Tail:
-        n_centers, n_features = centers.shape
-        if degree == 0:
-            seen = np.full((1, 1), 1 / np.sqrt(n_centers))
-            return cls(np.zeros(n_features), seen, np.empty((1, 0)))
-        origin = centers.mean(axis=0)
-        scale = np.max(
-            [
-                np.abs(rows[batch] - origin).max(axis=0)
-                for batch in gen_batches(len(rows), 2**13)
-            ],
-            axis=0,
-        )
-        # What rounding leaves of a constant feature is no direction to extrapolate in.
-        varies = scale > 1e-13 * np.abs(origin)
-        inverse = np.divide(1.0, scale, out=np.zeros(n_features), where=varies)
-        monomials = np.hstack([np.ones((n_centers, 1)), (centers - origin) * inverse])
-        # All directions, also those that few centres do not see.
-        few = n_centers <= n_features
-        _, singular, directions = np.linalg.svd(monomials, full_matrices=few)
-        rank = int((singular > 1e-10 * singular[0]).sum())
-        coefficients = np.vstack(
-            [directions.T[:1], directions.T[1:] * inverse[:, None]]
-        )
-        return cls(
-            origin, coefficients[:, :rank] / singular[:rank], coefficients[:, rank:]
-        )
-
-    def beyond(self, X: Array) -> NDArray[np.bool_]:
-        """Tell in which rows polynomials that the centres do not see are not zero."""
-        coefficients = np.hstack([self.seen, self.unseen])[1:]
-        n = len(coefficients)
-        # Features in which the centres agree have none.
-        constant = np.asarray(np.abs(coefficients).sum(axis=1) == 0)
-        origin = self.origin[:n]
-        away = np.abs(X[:, :n] - origin)
-        moved = away[:, constant] > 1e-12 * np.abs(origin[constant])
-        left = np.abs(polynomial(X, self.origin, self.unseen))
-        size = 1 + away @ np.abs(self.unseen[1:])
-        return np.asarray(moved.any(axis=1) | (left > 1e-9 * size).any(axis=1))
-
-
-def polynomial(X: Array, origin: Array, coefficients: Array) -> Array:
-    """Evaluate polynomials given by their coefficients of 1 and x - origin."""
-    if len(coefficients) == 1:
-        return np.repeat(coefficients, len(X), axis=0)
-    return coefficients[0] + (X - origin) @ coefficients[1:]
 
 
 @dataclass(frozen=True)
@@ -116,13 +50,17 @@ class NativeBasis:
     lower: Array  # in Fortran order; its strict upper triangle has no meaning
     excess: Array  # what the diagonal of the matrix has over that of the sections
     rcond: float
-    tail: Tail | None
+    tail: PolynomialTrend | None
     Q: Array  # (M, q), with q = 0 where there is no tail
     R: Array
 
     @classmethod
     def of(
-        cls, sections: Sections, points: Array, nugget: Array, tail: Tail | None
+        cls,
+        sections: Sections,
+        points: Array,
+        nugget: Array,
+        tail: PolynomialTrend | None,
     ) -> NativeBasis:
         """Factor the Gram matrix at the centres plus a diagonal `nugget`."""
         K, excess, norm = gram_matrix(sections, points, nugget)

@@ -1,7 +1,6 @@
 """Koopman operators on finite spaces of functions: matrices, spectra and powers.
 
-Everything is in coordinates of a :class:`~sklearn_koopman._native.NativeBasis`, whose
-functions are orthonormal in the native space of the kernel: there the matrix of the
+Everything is in coordinates of a `NativeBasis`, whose functions are orthonormal in the native space of the kernel: there the matrix of the
 operator is as well conditioned as the operator itself, while the matrix K^-1 K+ that
 acts on coefficients of the kernel sections inherits the condition number of K.
 
@@ -29,15 +28,12 @@ from scipy.linalg.lapack import (
 from scipy.optimize import linear_sum_assignment
 from sklearn.utils import gen_batches
 
-from sklearn_koopman._bounds import left_out_precision
-from sklearn_koopman._native import NativeBasis, solve_triangular
-from sklearn_koopman._normal import least_squares
-from sklearn_koopman._sections import KernelSections
-from sklearn_koopman._solvers import evaluate
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Indices = NDArray[np.intp]
+from sklearn_koopman._linalg._cholesky import NativeBasis, solve_triangular
+from sklearn_koopman._linalg._direct import evaluate
+from sklearn_koopman._linalg._least_squares import least_squares
+from sklearn_koopman._matrices._sections import KernelSections
+from sklearn_koopman._regression._error_bound import left_out_precision
+from sklearn_koopman._utils._typing import Array, Complex, Indices
 
 # Coordinates beyond this are of a diverging forecast, and soon beyond all numbers.
 HUGE = 1e100

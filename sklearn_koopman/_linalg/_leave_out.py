@@ -20,17 +20,14 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm, dsyrk
 from scipy.linalg.lapack import dpocon, dposv, dsyevd, dtrtri
 
-from sklearn_koopman._native import SINGULAR, cholesky, solve_triangular
-from sklearn_koopman._normal import SUSPECT
-from sklearn_koopman._solvers import ACCURACY
+from sklearn_koopman._linalg._cholesky import SINGULAR, cholesky, solve_triangular
+from sklearn_koopman._linalg._direct import ACCURACY
+from sklearn_koopman._linalg._least_squares import SUSPECT
+from sklearn_koopman._utils._typing import Array, Indices, Mask
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
-Mask = NDArray[np.bool_]
 # Predicts the test rows of one fold, by its number, from an estimate made anew.
 Refit = Callable[[int], Array]
 

@@ -8,25 +8,22 @@ from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.base import clone
 from sklearn.utils import check_X_y
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import validate_data
 
-from sklearn_koopman._estimates import REMEDY, accumulated, interpolated
-from sklearn_koopman._native import NativeBasis
-from sklearn_koopman._sections import KernelSections
-from sklearn_koopman._solvers import Solution, evaluate
-from sklearn_koopman._streaming import GrowingFactor, GrowingInterpolant, Values
+from sklearn_koopman._linalg._cholesky import NativeBasis
+from sklearn_koopman._linalg._direct import Solution, evaluate
+from sklearn_koopman._linalg._incremental import GrowingFactor, GrowingInterpolant
+from sklearn_koopman._linalg._select import REMEDY, accumulated, interpolated
+from sklearn_koopman._matrices._polynomial import DEGREES
+from sklearn_koopman._matrices._sections import KernelSections
+from sklearn_koopman._utils._rows import AveragedOutputs
+from sklearn_koopman._utils._typing import Array, Indices
 from sklearn_koopman.centers import SeparatedCenterSelector, choose_centers
 from sklearn_koopman.kernels import as_kernel
 from sklearn_koopman.solvers import ConjugateGradient
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
-
-DEGREES: dict[str | None, int | None] = {None: None, "constant": 0, "linear": 1}
 
 
 def _check_growth(model: GrowthMixin) -> bool:
@@ -93,7 +90,7 @@ class GrowthMixin:
     _nugget: Array
     _n_seen: int
     _settings: list[Any]
-    _values: Values
+    _values: AveragedOutputs
 
     @available_if(_check_growth)
     def partial_fit(self, X: Any, y: Any) -> Self:
@@ -137,8 +134,8 @@ class GrowthMixin:
         After centres have been added, `rcond_` is an upper bound by the pivots of the
         factor. Where they come close to being dependent, all are factored anew, and
         left out as in `fit`; which ones then depends on the order, and the estimate is
-        that of `fit` only as far as such matrices tell. `noise_` of least squares is a
-        difference of sums, and not told where it is below about 1e-8 of the outputs.
+        that of `fit` only as far as such matrices tell. `noise_std_` of least squares is
+        a difference of sums, and not told where it is below about 1e-8 of the outputs.
         """
         started = hasattr(self, "dual_coef_")
         given = X
@@ -256,8 +253,8 @@ class GrowthMixin:
         return selector, selector.center_indices_[n_known:] - n_seen
 
     def _kept_values(
-        self, values: Values, solution: Solution[Any], points: Array
-    ) -> Values:
+        self, values: AveragedOutputs, solution: Solution[Any], points: Array
+    ) -> AveragedOutputs:
         """Return the values at the centres kept; the scatter takes in the others."""
         kept = values.take(solution.kept)
         left_out = np.setdiff1d(np.arange(len(points)), solution.kept)
@@ -323,8 +320,8 @@ class GrowthMixin:
 
     @abstractmethod
     def _merged(
-        self, X: Array, values: Values, numbers: Indices
-    ) -> tuple[Indices, Values]:
+        self, X: Array, values: AveragedOutputs, numbers: Indices
+    ) -> tuple[Indices, AveragedOutputs]:
         """Average the values of equal rows."""
 
     @abstractmethod

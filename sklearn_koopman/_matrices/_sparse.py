@@ -6,16 +6,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.spatial import KDTree
 
+from sklearn_koopman._utils._typing import Array, Indices
 from sklearn_koopman.kernels import RadialKernel
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 # Rows from which the density of a matrix is estimated.
 SAMPLED = 256

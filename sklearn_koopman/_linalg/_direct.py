@@ -7,22 +7,15 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.blas import dnrm2
 from scipy.linalg.lapack import dpstrf
 from sklearn.utils import gen_batches
 
-from sklearn_koopman._native import (
-    NativeBasis,
-    Tail,
-    polynomial,
-    solve_triangular,
-)
-from sklearn_koopman._normal import SUSPECT, least_squares
-from sklearn_koopman._sections import Sections, gram_matrix, product
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from sklearn_koopman._linalg._cholesky import NativeBasis, solve_triangular
+from sklearn_koopman._linalg._least_squares import SUSPECT, least_squares
+from sklearn_koopman._matrices._polynomial import PolynomialTrend, polynomial
+from sklearn_koopman._matrices._sections import Sections, gram_matrix, product
+from sklearn_koopman._utils._typing import Array, Indices
 
 # Largest error, relative to the values to be met, that passes the verification. Large
 # coefficients of alternating sign cost smooth kernels this much without harm, while
@@ -129,7 +122,9 @@ def solve(
     tolerance = 0.0
     while True:
         offered = sections.take(kept)
-        tail = None if degree is None else Tail.on(points[kept], degree, rows)
+        tail = (
+            None if degree is None else PolynomialTrend.on(points[kept], degree, rows)
+        )
         try:
             basis = NativeBasis.of(offered, points[kept], nugget[kept], tail)
             solution = rule(basis, kept)
@@ -184,7 +179,7 @@ def relative_error(reached: Array, wanted: Array) -> float:
 
 def evaluate(
     sections: Sections,
-    tail: Tail | None,
+    tail: PolynomialTrend | None,
     X: Array,
     dual: Array,
     trend: Array,

@@ -6,14 +6,11 @@ import warnings
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.utils import check_array
 
-from sklearn_koopman._validation import check_magnitude
+from sklearn_koopman._utils._typing import Array, Indices
+from sklearn_koopman._utils._validation import check_magnitude
 from sklearn_koopman.trajectories import successor_rows
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 
 def check_successors(X: Any, X_next: Any) -> Array:

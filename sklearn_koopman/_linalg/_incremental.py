@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dpotrf
 
-from sklearn_koopman._native import SINGULAR, NativeBasis, Tail, solve_triangular
-from sklearn_koopman._normal import SUSPECT, NormalEquations, too_few_rows
-from sklearn_koopman._sections import Sections, gram_matrix, matrix
-from sklearn_koopman._solvers import (
+from sklearn_koopman._linalg._cholesky import SINGULAR, NativeBasis, solve_triangular
+from sklearn_koopman._linalg._direct import (
     ACCURACY,
     Solution,
     column_norms,
@@ -20,10 +17,14 @@ from sklearn_koopman._solvers import (
     fitted,
     relative_error,
 )
-from sklearn_koopman.centers import distinct_rows
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from sklearn_koopman._linalg._least_squares import (
+    SUSPECT,
+    NormalEquations,
+    too_few_rows,
+)
+from sklearn_koopman._matrices._polynomial import PolynomialTrend
+from sklearn_koopman._matrices._sections import Sections, gram_matrix, matrix
+from sklearn_koopman._utils._typing import Array, Indices
 
 # A factor is put together when rows have been added so many times, or so many rows in
 # relation to those before.
@@ -110,7 +111,7 @@ class GrowingInterpolant:
     centers: Array
     excess: Array
     rcond: float  # an upper bound, once centres have been added
-    tail: Tail | None
+    tail: PolynomialTrend | None
     Q: Array
     R: Array
     factor: GrowingFactor
@@ -185,7 +186,7 @@ class GrowingInterpolant:
         self.rcond = rcond
         if self.tail is not None:
             degree = 0 if len(self.tail.seen) == 1 else 1
-            self.tail = Tail.on(self.centers, degree, self.centers)
+            self.tail = PolynomialTrend.on(self.centers, degree, self.centers)
             # The same polynomials in the monomials about the first origin.
             seen = self.tail.seen.copy()
             if degree == 1:
@@ -220,7 +221,7 @@ class GrowingInterpolant:
         return Solution(self, kept, dual, trend, column_norms(z), len(z), 0.0)
 
 
-def _monomials(tail: Tail | None, centers: Array, origin: Array) -> Array:
+def _monomials(tail: PolynomialTrend | None, centers: Array, origin: Array) -> Array:
     if tail is None:
         return np.empty((len(centers), 0))
     ones = np.ones((len(centers), 1))
@@ -250,7 +251,7 @@ class GrowingRegression:
         self.equations.add(self.basis, X, y.__getitem__)
         self.n_rows += len(X)
 
-    def _widen(self, tail: Tail, X: Array) -> None:
+    def _widen(self, tail: PolynomialTrend, X: Array) -> None:
         """Give features that have been constant until now their polynomials."""
         known = np.hstack([tail.seen, tail.unseen])[1:]
         away = np.abs(X - tail.origin).max(axis=0)
@@ -296,76 +297,3 @@ class GrowingRegression:
                 f"the solution misses its values by {solution.error:.1e}"
             )
         return solution, residual
-
-
-@dataclass(frozen=True)
-class Values:
-    """Outputs at distinct states, as means of the rows that are equal."""
-
-    means: Array  # (n_distinct, n_outputs)
-    counts: Array  # (n_distinct,): how many rows each stands for
-    scatter: Array  # (n_outputs,): sum of the squared deviations from the means
-
-    def take(self, rows: Indices) -> Values:
-        """Return the values at some of the states."""
-        return Values(self.means[rows], self.counts[rows], self.scatter)
-
-    def joined(self, y: Array) -> Values:
-        """Return these values with those of further rows."""
-        return Values(
-            np.vstack([self.means, y]),
-            np.append(self.counts, np.ones(len(y))),
-            self.scatter,
-        )
-
-
-def merge_equal_rows(
-    X: Array, values: Values, exact: bool, numbers: Indices
-) -> tuple[Indices, Values]:
-    """Average the values of equal rows.
-
-    Parameters
-    ----------
-    X : ndarray of shape (n_samples, n_features)
-        The states.
-    values : Values
-        Their values.
-    exact : bool
-        Whether equal rows must have equal values.
-    numbers : ndarray of shape (n_samples,)
-        The numbers of the rows, for the error.
-
-    Returns
-    -------
-    first : ndarray of shape (n_distinct,)
-        The first of each lot of equal rows, in rising order.
-    merged : Values
-        The values there.
-
-    Raises
-    ------
-    ValueError
-        If `exact`, and equal rows have different values.
-    """
-    first, group, _ = distinct_rows(X)
-    if len(first) == len(X):
-        return first, values
-    counts = np.zeros(len(first))
-    np.add.at(counts, group, values.counts)
-    means = np.zeros((len(first), values.means.shape[1]))
-    np.add.at(means, group, values.counts[:, np.newaxis] * values.means)
-    means /= counts[:, np.newaxis]
-    deviation = values.means - means[group]
-    worst = int(np.abs(deviation).max(axis=1).argmax())
-    limit = 1e-10 * np.abs(values.means).max()
-    if exact and np.abs(deviation[worst]).max() > limit:
-        equal = np.flatnonzero(group == group[worst])
-        away = np.abs(values.means[equal] - values.means[equal[0]]).max(axis=1)
-        raise ValueError(
-            f"rows {numbers[equal[0]]} and {numbers[equal[away.argmax()]]} of X are "
-            "equal but their outputs differ: with alpha=0 no function interpolates "
-            "both. Set alpha > 0 or method='least_squares', or add delays to the "
-            "states."
-        )
-    scatter = values.scatter + values.counts @ deviation**2
-    return first, Values(means, counts, scatter)

@@ -6,17 +6,16 @@ import warnings
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dtrtri
 
-from sklearn_koopman._native import NativeBasis, Tail
-from sklearn_koopman._sections import Sections
-from sklearn_koopman._solvers import interpolation
-from sklearn_koopman._validation import check_number
+from sklearn_koopman._linalg._cholesky import NativeBasis
+from sklearn_koopman._linalg._direct import interpolation
+from sklearn_koopman._matrices._polynomial import PolynomialTrend
+from sklearn_koopman._matrices._sections import Sections
+from sklearn_koopman._utils._typing import Array
+from sklearn_koopman._utils._validation import check_number
 from sklearn_koopman.centers import farthest_centers
-
-Array = NDArray[np.float64]
 
 # What rounding leaves undecided of the squared power function, over that of the kernel.
 ROUNDING = 1e-13
@@ -67,7 +66,7 @@ def native_norm(
     sections: Sections,
     centers: Array,
     nugget: Array,
-    tail: Tail | None,
+    tail: PolynomialTrend | None,
     values: Array,
     seminorm: Array,
 ) -> Array:
@@ -81,7 +80,7 @@ def native_norm(
     half = farthest_centers(centers, 0.0, -(-len(centers) // 2))
     if tail is not None:
         degree = 0 if len(tail.seen) == 1 else 1
-        tail = Tail.on(centers[half], degree, centers)
+        tail = PolynomialTrend.on(centers[half], degree, centers)
     basis = NativeBasis.of(sections.take(half), centers[half], nugget[half], tail)
     coarse = interpolation(centers, values)(basis, half).seminorm
     part = np.divide(coarse, seminorm, out=np.ones_like(seminorm), where=seminorm > 0)

@@ -11,22 +11,20 @@ from types import FrameType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgWarning
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_koopman import _large, _solvers
-from sklearn_koopman._iterative import Converged
-from sklearn_koopman._native import NativeBasis, Tail
-from sklearn_koopman._normal import too_few_rows
-from sklearn_koopman._sections import KernelSections, Sections
-from sklearn_koopman._solvers import Solution
-from sklearn_koopman._streaming import GrowingRegression
+from sklearn_koopman._linalg import _direct, _iterative
+from sklearn_koopman._linalg._cholesky import NativeBasis
+from sklearn_koopman._linalg._conjugate_gradient import Converged
+from sklearn_koopman._linalg._direct import Solution
+from sklearn_koopman._linalg._incremental import GrowingRegression
+from sklearn_koopman._linalg._least_squares import too_few_rows
+from sklearn_koopman._matrices._polynomial import PolynomialTrend
+from sklearn_koopman._matrices._sections import KernelSections, Sections
+from sklearn_koopman._utils._typing import Array, Indices
 from sklearn_koopman.solvers import ConjugateGradient
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 REMEDY = (
     "Choose centres with a larger separation, lower beta, raise alpha, or take a less "
@@ -73,14 +71,14 @@ def interpolated(
     with _explained(sections.kernel, len(points)):
         if isinstance(solver, ConjugateGradient):
             basis = _implicit(sections, points, nugget, degree, points, solver, n_jobs)
-            solution, converged = _large.interpolate(basis, u)
+            solution, converged = _iterative.interpolate(basis, u)
             _warn_not_converged(sections.kernel, len(points), solver, converged)
             return Estimate(solution, solver, converged)
-        found, tolerance = _solvers.solve(
+        found, tolerance = _direct.solve(
             sections,
             points,
             nugget,
-            _solvers.interpolation(points, u),
+            _direct.interpolation(points, u),
             degree,
             points,
             drop_dependent=solver == "pivoted_cholesky",
@@ -108,14 +106,14 @@ def regressed(
     with _explained(sections.kernel, len(points)):
         if isinstance(solver, ConjugateGradient):
             basis = _implicit(sections, points, nugget, degree, X, solver, n_jobs)
-            solution, converged = _large.regress(basis, X, y, alpha, n_jobs)
+            solution, converged = _iterative.regress(basis, X, y, alpha, n_jobs)
             _warn_not_converged(sections.kernel, len(points), solver, converged)
             return Estimate(solution, solver, converged)
-        found, tolerance = _solvers.solve(
+        found, tolerance = _direct.solve(
             sections,
             points,
             nugget,
-            _solvers.regression(X, y, alpha, n_jobs),
+            _direct.regression(X, y, alpha, n_jobs),
             degree,
             X,
             drop_dependent=solver == "pivoted_cholesky",
@@ -158,7 +156,7 @@ def accumulated(
         return solution
 
     with _explained(sections.kernel, len(points)):
-        solution, tolerance = _solvers.solve(
+        solution, tolerance = _direct.solve(
             sections,
             points,
             np.zeros(len(points)),
@@ -190,7 +188,7 @@ def _chosen(
         return clone(solver)
     if solver != "auto":
         return solver
-    large = _large.is_large(sections, points)
+    large = _iterative.is_large(sections, points)
     return ConjugateGradient() if large else "pivoted_cholesky"
 
 
@@ -202,10 +200,10 @@ def _implicit(
     rows: Array,
     solver: ConjugateGradient,
     n_jobs: int | None,
-) -> _large.ImplicitBasis:
+) -> _iterative.ImplicitBasis:
     assert isinstance(sections, KernelSections)
-    tail = None if degree is None else Tail.on(points, degree, rows)
-    return _large.ImplicitBasis.of(sections, nugget, tail, solver, n_jobs)
+    tail = None if degree is None else PolynomialTrend.on(points, degree, rows)
+    return _iterative.ImplicitBasis.of(sections, nugget, tail, solver, n_jobs)
 
 
 @contextmanager
@@ -213,7 +211,7 @@ def _explained(kernel: Any, n_centers: int) -> Iterator[None]:
     """Say in errors of the linear algebra which kernel they are about."""
     try:
         yield
-    except _solvers.UnsuitableKernelError as error:
+    except _direct.UnsuitableKernelError as error:
         raise ValueError(f"kernel={kernel!r} {error}.") from error
     except np.linalg.LinAlgError as error:
         raise ValueError(

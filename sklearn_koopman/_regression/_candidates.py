@@ -11,30 +11,30 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dpocon
 from scipy.spatial.distance import cdist
 from scipy.stats import rankdata
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils import gen_batches
 
-from sklearn_koopman import _solvers
-from sklearn_koopman._heldout import (
+from sklearn_koopman._linalg import _direct
+from sklearn_koopman._linalg._cholesky import solve_triangular
+from sklearn_koopman._linalg._least_squares import SUSPECT
+from sklearn_koopman._linalg._leave_out import (
     Fold,
     Interpolation,
     Samples,
     factor,
     interpolated,
 )
-from sklearn_koopman._native import Tail, polynomial, solve_triangular
-from sklearn_koopman._normal import SUSPECT
-from sklearn_koopman._press import Regression, regressed
-from sklearn_koopman._sections import TILE, KernelSections, matrix
-from sklearn_koopman.centers import choose_centers, distinct_rows, group_means
+from sklearn_koopman._linalg._leave_out_least_squares import Regression, regressed
+from sklearn_koopman._matrices._polynomial import PolynomialTrend, polynomial
+from sklearn_koopman._matrices._sections import TILE, KernelSections, matrix
+from sklearn_koopman._utils._rows import distinct_rows, group_means
+from sklearn_koopman._utils._typing import Array, Indices
+from sklearn_koopman.centers import choose_centers
 from sklearn_koopman.kernels import FAR, RadialKernel
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 # Held-out predictions, or why there are none.
 Outcome = Array | ValueError
 
@@ -170,7 +170,7 @@ class Search:
         u, weight = samples.outputs(len(kept))
         P = np.empty((len(self.table), 0))
         if self.degree is not None:
-            tail = Tail.on(self.points[kept], self.degree, self.points[kept])
+            tail = PolynomialTrend.on(self.points[kept], self.degree, self.points[kept])
             P = polynomial(self.table, tail.origin, tail.seen)
         problem = Interpolation(
             K if len(kept) == K.shape[1] else np.take(K, kept, axis=1),
@@ -200,7 +200,7 @@ class Search:
         T, Q = np.empty((0, len(self.X))), np.empty((len(kept), 0))
         if self.degree is not None:
             centers = self.points[kept]
-            tail = Tail.on(centers, self.degree, self.X)
+            tail = PolynomialTrend.on(centers, self.degree, self.X)
             P = polynomial(centers, tail.origin, tail.seen)
             Q, R = np.linalg.qr(solve_triangular(lower, P))
             A -= Q @ (Q.T @ A)
@@ -232,7 +232,7 @@ class Search:
             fold = self.folds[i]
             rule = self._rule(self.train(fold), kept, alpha)
             solution, _ = self._solved(kernel, *rule)
-            return _solvers.evaluate(
+            return _direct.evaluate(
                 solution.basis.sections,
                 solution.basis.tail,
                 self.X[fold.test],
@@ -244,7 +244,7 @@ class Search:
 
     def _rule(
         self, rows: Indices, kept: Indices, alpha: float
-    ) -> tuple[Array, Array, _solvers.Rule, Array]:
+    ) -> tuple[Array, Array, _direct.Rule, Array]:
         """Return the centres, their nugget, and the rule that some rows make."""
         if not self.interpolates:
             points = self.points[kept]
@@ -253,7 +253,7 @@ class Search:
                     f"{len(rows)} training rows do not determine the coefficients of "
                     f"{len(points)} centres"
                 )
-            rule = _solvers.regression(self.X[rows], self.y[rows], alpha, None)
+            rule = _direct.regression(self.X[rows], self.y[rows], alpha, None)
             return points, np.zeros(len(points)), rule, self.X[rows]
         samples = self._samples(kept)
         samples = Samples(samples.label[rows], rows, self.y[rows], self.merged)
@@ -263,12 +263,12 @@ class Search:
         )
         points = self.points[kept]
         u, weight = samples.outputs(len(kept))
-        return points, alpha * weight, _solvers.interpolation(points, u), points
+        return points, alpha * weight, _direct.interpolation(points, u), points
 
     def _solved(
         self, kernel: Any, points: Array, nugget: Array, rule: Any, extent: Array
-    ) -> tuple[_solvers.Solution[Any], float]:
-        return _solvers.solve(
+    ) -> tuple[_direct.Solution[Any], float]:
+        return _direct.solve(
             KernelSections(kernel, points),
             points,
             nugget,

@@ -17,15 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from joblib import effective_n_jobs
-from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dpocon, dpotri, dpotrs
 from sklearn.utils import gen_batches
 from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_koopman._native import NativeBasis, block_rows, cholesky
+from sklearn_koopman._linalg._cholesky import NativeBasis, block_rows, cholesky
+from sklearn_koopman._utils._typing import Array
 
-Array = NDArray[np.float64]
 # The outputs of a slice of the rows, so that many need not be held at once.
 Outputs = Callable[[slice], Array]
 

@@ -12,12 +12,12 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm, dsyrk
 from scipy.linalg.lapack import dpocon, dposv, dsyevd
 from sklearn.utils import gen_batches
 
-from sklearn_koopman._heldout import (
+from sklearn_koopman._linalg._cholesky import cholesky, solve_triangular
+from sklearn_koopman._linalg._leave_out import (
     EIGEN,
     EPSILON,
     RESOLVED,
@@ -27,10 +27,7 @@ from sklearn_koopman._heldout import (
     cheapest,
     completed,
 )
-from sklearn_koopman._native import cholesky, solve_triangular
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from sklearn_koopman._utils._typing import Array
 
 # A hat matrix that leaves fewer digits than this is not used.
 DIGITS = 1e-9

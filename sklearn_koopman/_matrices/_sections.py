@@ -14,7 +14,6 @@ from typing import Any, Protocol
 
 import numpy as np
 from joblib import effective_n_jobs
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
@@ -22,11 +21,10 @@ from sklearn.utils import gen_batches
 from sklearn.utils.parallel import Parallel, delayed
 from threadpoolctl import ThreadpoolController
 
-from sklearn_koopman import _sparse
+from sklearn_koopman._matrices import _sparse
+from sklearn_koopman._utils._typing import Array, Indices
 from sklearn_koopman.kernels import FAR, RadialKernel
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 # Writes k(X[rows], Xi[columns]) to an array of that shape.
 Tiles = Callable[[slice, slice, Array], None]
 

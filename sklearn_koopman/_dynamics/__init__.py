@@ -1,0 +1,1 @@
+"""Koopman operators on the span of kernel sections."""

@@ -1,0 +1,1 @@
+"""Systems with Gram matrices: from values at centres to coefficients."""

@@ -1,0 +1,1 @@
+"""Kernel matrices, and functions that are sums of kernel sections."""

@@ -1,0 +1,1 @@
+"""What the regressors need besides a system of equations."""

@@ -1,0 +1,1 @@
+"""What every room uses, and no mathematics of the package."""
