@@ -21,7 +21,6 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_koopman._linalg._leave_out import Fold
 from sklearn_koopman._matrices._polynomial import DEGREES
-from sklearn_koopman._matrices._sections import one_thread
 from sklearn_koopman._regression._candidates import (
     HeldOut,
     Outcome,
@@ -29,6 +28,7 @@ from sklearn_koopman._regression._candidates import (
     scores_of_folds,
     tabulated,
 )
+from sklearn_koopman._utils._parallel import one_thread
 from sklearn_koopman._utils._typing import Array
 from sklearn_koopman._utils._validation import check_number
 from sklearn_koopman.kernels import RadialKernel, as_kernel

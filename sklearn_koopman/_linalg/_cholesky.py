@@ -19,13 +19,8 @@ from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dpocon, dpotrf, dtrtrs
 
 from sklearn_koopman._matrices._polynomial import PolynomialTrend, polynomial
-from sklearn_koopman._matrices._sections import (
-    Sections,
-    by_rows,
-    gram_matrix,
-    matrix,
-    one_thread,
-)
+from sklearn_koopman._matrices._sections import Sections, gram_matrix, matrix
+from sklearn_koopman._utils._parallel import by_rows, one_thread
 from sklearn_koopman._utils._typing import Array
 
 # Below this reciprocal condition number the factorisation succeeded by chance, and its

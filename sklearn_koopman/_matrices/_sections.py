@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,9 +19,9 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 from sklearn.utils import gen_batches
 from sklearn.utils.parallel import Parallel, delayed
-from threadpoolctl import ThreadpoolController
 
 from sklearn_koopman._matrices import _sparse
+from sklearn_koopman._utils._parallel import by_rows, one_thread
 from sklearn_koopman._utils._typing import Array, Indices
 from sklearn_koopman.kernels import FAR, RadialKernel
 
@@ -281,30 +281,6 @@ def gram_product(
     for more in shares[1:]:
         total += more
     return total
-
-
-def by_rows(
-    function: Callable[[Array], Array], X: Array, n_rows: int, n_jobs: int | None
-) -> Array:
-    """Apply a function to blocks of rows, on threads if asked, and join the results."""
-    blocks = list(gen_batches(len(X), n_rows))
-    if len(blocks) == 1 or effective_n_jobs(n_jobs) == 1:
-        return np.concatenate([function(X[rows]) for rows in blocks])
-    with one_thread():
-        parts = Parallel(n_jobs=n_jobs, prefer="threads")(
-            delayed(function)(X[rows]) for rows in blocks
-        )
-    return np.concatenate(parts)
-
-
-def one_thread() -> Any:
-    """Hold BLAS to one thread: several in each of several threads slow each other."""
-    return _controller().limit(limits=1, user_api="blas")
-
-
-@cache
-def _controller() -> ThreadpoolController:
-    return ThreadpoolController()
 
 
 def _grid(n_rows: int, n_columns: int) -> Iterator[tuple[slice, slice]]:

@@ -1,6 +1,7 @@
 """Checks of parameters that scikit-learn's public helpers do not cover."""
 
 import math
+from collections.abc import Collection
 from numbers import Integral, Real
 from typing import Any
 
@@ -44,6 +45,15 @@ def check_flag(value: Any, name: str) -> None:
     """Refuse anything but True and False."""
     if not isinstance(value, bool | np.bool_):
         raise ValueError(f"{name} must be True or False, got {value!r}.")
+
+
+def check_choice(value: Any, name: str, choices: Collection[Any]) -> None:
+    """Refuse anything but one of these values."""
+    # Arrays and the like compare to arrays, which are neither true nor false.
+    if not (value is None or isinstance(value, str | Real)) or value not in choices:
+        raise ValueError(
+            f"{name} must be one of {', '.join(map(repr, choices))}, got {value!r}."
+        )
 
 
 def check_magnitude(
