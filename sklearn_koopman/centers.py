@@ -25,6 +25,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from sklearn_koopman._utils._rows import distinct_rows
 from sklearn_koopman._utils._typing import Array, Indices
 from sklearn_koopman._utils._validation import (
+    check_distances,
     check_integer,
     check_magnitude,
     check_number,
@@ -485,21 +486,6 @@ def rows_at_distance_zero(distances: Array) -> Indices:
             "centers=SeparatedCenterSelector() instead."
         )
     return rows
-
-
-def check_distances(X: Array) -> None:
-    """Refuse what cannot be distances.
-
-    Parameters
-    ----------
-    X : ndarray of shape (n_samples, n_centers)
-        The supposed distances.
-    """
-    if X.min() < 0:
-        raise ValueError(
-            f"X holds {X.min():.3g}: with centers='precomputed' its entries are "
-            "distances to the centres, as SeparatedCenterSelector.transform gives them."
-        )
 
 
 def _sorted_tree(X: Array) -> tuple[KDTree, Indices]:

@@ -31,7 +31,7 @@ def check_successors(X: Any, X_next: Any) -> Array:
     return np.asarray(successors, dtype=np.float64)
 
 
-def successors(X: Array, X_next: Any, sample_index: Any) -> tuple[Indices, Array]:
+def find_successors(X: Array, X_next: Any, sample_index: Any) -> tuple[Indices, Array]:
     """Return the rows that have a successor, and these."""
     links = None
     if sample_index is not None:

@@ -6,7 +6,8 @@ from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sklearn_koopman._utils._typing import Array
 
 
 def check_number(value: Any, name: str, *, positive: bool = False) -> None:
@@ -27,7 +28,7 @@ def check_integer(value: Any, name: str, minimum: int) -> None:
     raise ValueError(f"{name} must be an integer of at least {minimum}, got {value!r}.")
 
 
-def check_positive(values: Any, name: str) -> NDArray[np.float64]:
+def check_positive(values: Any, name: str) -> Array:
     """Return a list of numbers; refuse any that is not finite and above zero."""
     numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if (
@@ -56,13 +57,30 @@ def check_choice(value: Any, name: str, choices: Collection[Any]) -> None:
         )
 
 
-def check_magnitude(
-    X: NDArray[np.float64], smallest: float = 1e-150, name: str = "X"
+def check_parameters(
+    estimator: Any, *, non_negative: Collection[str] = (), **choices: Collection[Any]
 ) -> None:
+    """Refuse parameters that are no non-negative number, or none of their choices."""
+    for name in non_negative:
+        check_number(getattr(estimator, name), name)
+    for name, values in choices.items():
+        check_choice(getattr(estimator, name), name, values)
+
+
+def check_magnitude(X: Array, smallest: float = 1e-150, name: str = "X") -> None:
     """Refuse states whose squared distances leave the range of a double."""
     largest = max(X.max(), -X.min())  # without a copy of all values
     if largest > 1e150 or 0 < largest < smallest:
         raise ValueError(
             f"{name} has values up to {largest:.3g}, whose squares double precision "
             f"cannot hold; rescale {name}, by StandardScaler for example."
+        )
+
+
+def check_distances(X: Array) -> None:
+    """Refuse negative entries of what should be distances to the centres."""
+    if X.min() < 0:
+        raise ValueError(
+            f"X holds {X.min():.3g}: with centers='precomputed' its entries are "
+            "distances to the centres, as SeparatedCenterSelector.transform gives them."
         )
