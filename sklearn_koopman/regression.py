@@ -290,6 +290,11 @@ default="auto"
                 sections, nugget, degree, self.solver, n_jobs=self.n_jobs
             )
             fit = system.interpolate(averages.means, self._negligible(len(X)))
+            if self.method == "least_squares" and self.alpha == 0:
+                noise_std = estimate_noise(
+                    fit.expansion, X, outputs, fit.effective_dof, self.n_jobs
+                )
+                fit = fit._replace(noise_std=noise_std)
             if len(system.kept) < len(nugget):
                 averages = keep_averages(averages, fit, system.kept, sections.points)
         else:
@@ -299,11 +304,6 @@ default="auto"
                 sections, nugget, degree, self.solver, extent=extent, n_jobs=self.n_jobs
             )
             fit = system.least_squares(X, outputs, self.alpha, self.n_jobs)
-            if self.method == "least_squares" and self.alpha == 0:
-                noise_std = estimate_noise(
-                    fit.expansion, X, outputs, fit.effective_dof, self.n_jobs
-                )
-                fit = fit._replace(noise_std=noise_std)
         # Attributes are set last: a fit that fails leaves the estimator as it was.
         validate_data(self, given, y, skip_check_array=True)
         kept = None if rows is None else rows[system.kept]

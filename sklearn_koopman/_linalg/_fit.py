@@ -87,9 +87,9 @@ def check_trend_determined(trend: PolynomialTrend | None, n_centers: int) -> Non
     """Refuse least squares with a trend that the centres do not determine."""
     if trend is not None and not trend.is_determined:
         raise ValueError(
-            f"trend='linear' with method='least_squares': the {n_centers} centres do "
-            "not determine a linear function of the features of X. Choose more "
-            "centres than features, and not all in one plane, or take "
+            f"trend='linear' with method='least_squares': the {n_centers} independent "
+            "centres do not determine a linear function of the features of X. Choose "
+            "more centres than features, not all in one plane, or take "
             "trend='constant'."
         )
 

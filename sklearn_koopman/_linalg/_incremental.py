@@ -150,7 +150,8 @@ class GrowingSystem(DirectSystem):
             self.trend = PolynomialTrend.at(sections.centers, self.degree)
             # The same polynomials in the monomials about the first origin.
             coefficients = self.trend.coefficients.copy()
-            coefficients[0] += (self.origin - self.trend.origin) @ coefficients[1:]
+            if self.degree == 1:
+                coefficients[0] += (self.origin - self.trend.origin) @ coefficients[1:]
             self.Q, self.R = np.linalg.qr(self.transformed_monomials @ coefficients)
         self.trend_rank = self.Q.shape[1]
 

@@ -26,7 +26,7 @@ from sklearn.utils.parallel import Parallel, delayed
 from sklearn_koopman._linalg._cholesky import (
     RCOND_TO_VERIFY,
     cholesky,
-    rcond_at_least,
+    exact_rcond,
     rows_per_block,
 )
 from sklearn_koopman._matrices._sections import Sections
@@ -170,7 +170,7 @@ class NormalEquations:
         norm = trace + q * along_Q + M * alpha
         try:
             cholesky(F, lower=False)
-            is_regular = rcond_at_least(F, norm, limit, lower=False) >= limit
+            is_regular = exact_rcond(F, norm, lower=False) >= limit
         except np.linalg.LinAlgError:
             is_regular = False
         if not is_regular:

@@ -149,10 +149,13 @@ def restore_system(
     n_jobs: int | None = None,
 ) -> System:
     """Make the system of a fitted estimator anew, which a pickle does not hold."""
-    # Centres that were dropped are not among these.
-    solver = "cholesky" if isinstance(solver, str) else solver
-    try:
+    if isinstance(solver, ConjugateGradient):
         return make_system(sections, nugget, degree, solver, n_jobs=n_jobs)
+    try:
+        # Centres that were dropped are not among these, and no other may be now.
+        system = DirectSystem(sections, nugget, degree, "cholesky")
+        system.solver = solver
+        return system
     except ValueError as error:
         raise ValueError(
             "The Gram matrix, not pickled, was barely positive definite where the "
