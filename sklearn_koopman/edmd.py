@@ -55,72 +55,82 @@ class KernelEDMD(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     .. math:: (U_f g)(x) = g(f(x)).
 
-    It is linear whatever f is, its powers look many steps ahead, and its eigenfunctions
-    evolve by a factor a step, so that they separate a motion into growth rates and
-    frequencies. This estimates it on the span of the sections k(., xi_i) of a kernel at
-    M centres xi_i (and the polynomials of a `trend`), as
+    It is linear for every f. Its powers look many steps ahead. Its eigenfunctions are
+    multiplied by their eigenvalue in every step, so that they separate a motion into
+    growth rates and frequencies.
 
-    - the operator :math:`U_f^M g = \\Pi_M((\\Pi_M g) \\circ f)` of [1]_ by
-      interpolation at the centres: with K = k(Xi, Xi) and K+ = k(f(Xi), Xi), one step
-      multiplies the coefficients of the sections by :math:`K^{-1} K^+`; or as
-    - extended dynamic mode decomposition (EDMD) with these functions as dictionary, by
-      least squares over all pairs of a state and its successor. With as many pairs as
-      centres both are the same, which is [1]_'s theorem on the EDMD algorithm.
+    This is extended dynamic mode decomposition (EDMD, [3]_) with a dictionary of
+    kernel sections: functions k(., xi_i) of a kernel k, one for each of M centres
+    xi_i, and the polynomials of a `trend`. The operator is estimated on the span of
+    the dictionary, as
 
-    Outputs y = G(x) are predicted from the interpolant, or the fit, of the pairs of a
-    state and the output one step later. This is :math:`\\Pi_M (U_f G)`, the estimate of
-    :class:`KoopmanKernelRegressor`, and more accurate than :math:`U_f^M G`, which
-    approximates G first. The powers of the operator take it further.
+    - the operator :math:`U_f^M g = \\Pi_M((\\Pi_M g) \\circ f)` of [1]_, by
+      interpolation at the centres Xi. With K = k(Xi, Xi) and K+ = k(f(Xi), Xi), one
+      step multiplies the coefficients of the sections by :math:`K^{-1} K^+`. Or as
+    - EDMD proper, by least squares over all pairs of a state and its successor. With
+      as many pairs as centres both are the same ([1]_, theorem on the EDMD algorithm).
+
+    The method known as kernel EDMD ([4]_) is another one. It has a dictionary that is
+    given by a kernel, but is never evaluated, and it works on the span of the snapshots
+    in that feature space: its matrices are those of all pairs, its modes belong to the
+    snapshots, and there are no centres to choose. Here the dictionary is the sections
+    themselves, at few centres.
+
+    Outputs y = G(x) are predicted one step ahead by the interpolant, or the fit, of the
+    pairs of a state and the output one step later. This is :math:`\\Pi_M (U_f G)`, the
+    estimate of :class:`KoopmanKernelRegressor`. It is more accurate than :math:`U_f^M
+    G`, which approximates G first. The powers of the operator take it further.
 
     Parameters
     ----------
     kernel : str or Kernel, default="matern32"
         As for :class:`KoopmanKernelRegressor`.
     beta : float, default=None
-        Scale of the kernel in the unit of the states. None leaves that of the kernel
+        Scale of the kernel in the unit of the states. None keeps the scale of a kernel
         object, and means 1 for a name.
     centers : None, array-like of shape (n_centers, n_features) or estimator, \
 default=None
         Where the kernel sections are centred, among the rows that have a successor: at
         every distinct one, at given states, or at those that a clone of a selector such
-        as :class:`SeparatedCenterSelector` chooses of them.
+        as :class:`SeparatedCenterSelector` chooses among them.
     method : {"interpolation", "least_squares"}, default="interpolation"
         Whether the operator is made from the successors of the centres, which have to
         be rows of `X`, or from those of all rows. Take least squares for noisy states.
     alpha : float, default=0.0
-        Weight of the squared native-space norm against the squared residuals.
+        Weight of the squared native norm against the squared residuals, as for
+        :class:`KoopmanKernelRegressor`.
     trend : {None, "constant", "linear"}, default=None
         Polynomials that join the sections. With "linear" the constant and the state
-        itself are in the dictionary, so that a linear map is found exactly (by
-        interpolation, from more centres than features).
+        itself are in the dictionary, so that a linear map is found exactly (from more
+        centres than features).
     n_modes : int, default=None
         How many eigenfunctions make up the model.
 
-        - None: all. The whole operator is kept, and pickled, as a matrix.
-        - a number: the most trustworthy ones (in the order of `eigenvalues_`), and one
-          more where that would tear a conjugate pair. Predictions and forecasts are
-          those of the reduced model, which is small.
+        - None: all. The whole operator is kept as a matrix.
+        - a number: the most trustworthy ones, which are the first in the order of
+          `eigenvalues_`. One more is kept where a conjugate pair would be divided.
+          Predictions and forecasts are those of the reduced model, which is small.
         - 0: the whole operator without its spectrum, which takes most of the time of a
-          fit with many centres; for forecasts, and for searches by
+          fit with many centres. For forecasts, and for searches by
           `make_forecast_scorer`.
     solver : {"auto", "pivoted_cholesky", "cholesky"}, default="auto"
         What happens where the Gram matrix, a dense one, is not numerically positive
-        definite. "auto" and "pivoted_cholesky": a pivoted Cholesky factorisation leaves
-        out the centres that depend on others, with a warning; `rank_` tells what is
-        left. "cholesky": an error.
+        definite. "auto" and "pivoted_cholesky": centres that are numerically dependent
+        on others are dropped, with a warning; `rank_` is the number of the others.
+        "cholesky": an error.
     n_jobs : int, default=None
         Number of threads for predictions. None means 1 unless in a
-        :obj:`joblib.parallel_backend` context, -1 means all processors.
+        :obj:`joblib.parallel_config` context, -1 means all processors.
 
     Attributes
     ----------
     koopman_matrix_ : ndarray of shape (rank_, rank_)
-        The operator in coordinates: those of the functions :math:`L^{-1} k(\\Xi, x)`
-        with the Cholesky factor of the Gram matrix, :math:`K = L L^T` (with `alpha` on
-        its diagonal for interpolation, and where every row is a centre), which are
-        orthonormal in the native space if alpha is 0. Without a trend it is :math:`L^T
-        (K^{-1} K^+) L^{-T}` for interpolation, similar to the matrix that acts on
-        coefficients but as well conditioned as the operator is. With `n_modes`, the
+        The operator in coordinates of the functions :math:`L^{-1} k(\\Xi, x)` with the
+        Cholesky factor of the Gram matrix, :math:`K = L L^T` (with `alpha` on its
+        diagonal for interpolation, and where every row is a centre). They are
+        orthonormal in the native space if alpha is 0. Without a trend, interpolation
+        gives :math:`L^T (K^{-1} K^+) L^{-T}`, which is similar to the matrix that acts
+        on coefficients, but as well conditioned as the operator is. With `n_modes`, the
         block-diagonal matrix that acts on the real and imaginary parts of the
         eigenfunctions kept.
     eigenvalues_ : ndarray of shape (n_modes,), complex
@@ -128,47 +138,47 @@ default=None
         first; conjugate pairs side by side, the one with positive imaginary part first.
     residuals_ : ndarray of shape (n_modes,)
         How far each eigenpair is from one of the true operator, in mean square over the
-        data [2]_: the root of
+        data [2]_, without a unit: the root of
 
         .. math:: \\frac{\\sum_i |\\phi(f(x_i)) - \\lambda \\phi(x_i)|^2}
             {\\sum_i |\\phi(x_i)|^2}
 
-        For least squares at chosen centres the sums are over all pairs; take many
-        times as many as centres. An interpolant has no such error at its centres: there
-        they are over the other rows. Where these are fewer than the centres, as when
-        every row is one, the residual is estimated instead: as the error of
-        :math:`\\phi` at centres that are left out, one at a time (in closed form),
-        times :math:`\\sqrt{1 + |\\lambda|^2}`, for both terms. Eigenvalues whose
-        residual is not small are spurious. (For random f the residual of a true one is
-        not small, either: it is the root of ``1 - abs(lambda) ** 2`` in a stationary
-        process.)
+        For least squares at chosen centres the sums run over all pairs; take many
+        times as many pairs as centres. For interpolation the sums run over the rows
+        that are not centres, because the residual is zero at the centres. If there are
+        fewer such rows than centres, it is replaced by a leave-one-out estimate: the
+        error of :math:`\\phi` at each left-out centre times
+        :math:`\\sqrt{1 + |\\lambda|^2}`. Eigenvalues whose residual is not small are
+        spurious. (For random f the residual of a true one is not small, either: it is
+        the root of ``1 - abs(lambda) ** 2`` in a stationary process.)
     modes_ : ndarray of shape (n_modes,) or (n_modes, n_outputs), complex
-        Koopman modes: the expansion of the outputs G in eigenfunctions, so that
-        ``(eigenfunctions(X) * eigenvalues_ ** s) @ modes_`` is the forecast for s >= 1
-        steps, if the operator has a full set of eigenfunctions. Modes are zero where
-        the eigenvalue is zero up to rounding; what such eigenfunctions contribute to
-        the first step is missing then.
+        Koopman modes, in the unit of the outputs: the expansion of the outputs G in
+        eigenfunctions, so that ``(eigenfunctions(X) * eigenvalues_ ** s) @ modes_`` is
+        the forecast for s >= 1 steps, if the operator has a full set of eigenfunctions.
+        Modes are zero where the eigenvalue is zero up to rounding; what such
+        eigenfunctions contribute to the first step is missing then.
     rank_ : int
         The number of functions that the operator acts on: the centres that are not
-        numerically dependent on others and, for least squares, the polynomials that
-        they do not determine.
+        numerically dependent on others.
     rcond_ : float
         Estimate of the reciprocal condition number of the Gram matrix.
+    signal_std_ : float or ndarray of shape (n_outputs,)
+        Standard deviation of the outputs one step ahead, in their unit, if the kernel
+        is the covariance of a Gaussian process; as for
+        :class:`KoopmanKernelRegressor`.
+    noise_std_ : float or ndarray of shape (n_outputs,)
+        Standard deviation of the outputs about their estimate one step ahead, in their
+        unit, from the rows that have a successor.
     centers_ : ndarray of shape (n_centers, n_features)
-        The centres.
+        The centres, in the unit of the states.
     center_indices_ : ndarray of shape (n_centers,) or None
         The rows of `X` that are centres; None for centres given from elsewhere.
     kernel_ : Kernel
         The kernel, with its scale and dimension.
-    regressor_ : KoopmanKernelRegressor
-        The estimate one step ahead of the outputs, if any were given, and behind them
-        of the states: for its power function and standard deviation. It is made from
-        the rows that have a successor, and whole: where least squares has more rows for
-        `y`, or with `n_modes`, its predictions are others than those of this estimator.
     n_features_in_ : int
         Number of features seen during `fit`.
     feature_names_in_ : ndarray of shape (n_features_in_,)
-        Names of the features, where `X` had string names.
+        Names of the features, if `X` has string names.
 
     See Also
     --------
@@ -179,33 +189,44 @@ default=None
     -----
     The interpolant of G itself at the successors f(Xi) has the coefficients
     :math:`k(f(\\Xi), f(\\Xi))^{-1} u` for the outputs u of the centres ([1]_, theorem
-    on the pullback space); ``KoopmanKernelRegressor().fit(X_next, y)`` gives it. If it
-    is the inner projection of :math:`U_f^M G`, with the values u at the successors, the
-    outer one has the coefficients :math:`K^{-1} u`: those of the prediction here.
+    on the pullback space); ``KoopmanKernelRegressor().fit(X_next, y)`` computes it. If
+    it is the inner projection of :math:`U_f^M G`, with the values u at the successors,
+    the outer projection has the coefficients :math:`K^{-1} u`: those of the prediction
+    here.
 
     Equal states with different successors belong to a random map, whose operator takes
     the mean over its outcomes. Least squares does so, as does interpolation where every
-    row is a centre; with a selector, or given centres, it takes the first of equal
-    rows.
+    row is a centre. With a selector, or given centres, interpolation takes the first of
+    equal rows.
 
-    A pipeline passes on no method `forecast`: with a scaler in front, call
+    With M centres and n pairs, a fit takes O(M^3) time, of which the eigenvalues take
+    most (about 25 M^3), O(n M^2) more for least squares, and the memory of some M x M
+    matrices. A forecast of s steps takes O(M^2) a step, and O(n M) for every output. A
+    pickle holds the operator and its eigenfunctions, two M x M matrices; the Cholesky
+    factor is computed anew when it is first needed after loading.
+
+    A pipeline passes on no method `forecast`. With a scaler in front, call
     ``pipeline[-1].forecast(pipeline[:-1].transform(X), n_steps)``.
 
     With metadata routing enabled, `X_next` and `sample_index` are passed on by
     pipelines and searches without a call of `set_fit_request`. A scaler in front
-    transforms `X_next` only if told to: ``Pipeline(steps,
-    transform_input=["X_next"])``; `sample_index` needs no such care.
+    transforms `X_next` only if asked to: ``Pipeline(steps,
+    transform_input=["X_next"])``. `sample_index` needs no such care.
 
     References
     ----------
-    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
-       of Animal Motions over Unknown Submanifolds".
+    .. [1] N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+       for Estimation of Animal Motions over Unknown Submanifolds",
+       arXiv:2203.05646, 2022.
     .. [2] M. J. Colbrook and A. Townsend, "Rigorous data-driven computation of
        spectral properties of Koopman operators for dynamical systems",
        Communications on Pure and Applied Mathematics 77, 2024.
     .. [3] M. O. Williams, I. G. Kevrekidis and C. W. Rowley, "A data-driven
        approximation of the Koopman operator: extending dynamic mode decomposition",
        Journal of Nonlinear Science 25, 2015.
+    .. [4] M. O. Williams, C. W. Rowley and I. G. Kevrekidis, "A kernel-based method for
+       data-driven Koopman spectral analysis", Journal of Computational Dynamics 2,
+       2015.
 
     Examples
     --------
@@ -273,13 +294,13 @@ default=None
         X_next : array-like of shape (n_samples, n_features), default=None
             The state one step after each row, on the scale of `X`.
         sample_index : array-like of shape (n_samples,), default=None
-            Integers that tell the rows' successors, if these are among the rows: row
-            j succeeds row i if ``sample_index[j] == sample_index[i] + 1``. With
-            neither `X_next` nor `sample_index`, the rows are one trajectory in the
-            order of time (so that cross-validation which leaves out a block of one
-            trajectory needs either: the rows before and after it do not follow each
-            other). With both, when a scorer needs the second one, `X_next` is used,
-            and has to agree.
+            The place of each row on the clock of its trajectory, an integer: row j
+            succeeds row i if ``sample_index[j] == sample_index[i] + 1``. With neither
+            `X_next` nor `sample_index`, the rows are one trajectory in the order of
+            time. Cross-validation that leaves out a block of one trajectory needs one
+            of them, since the rows before and after the block do not follow each
+            other. With both, as when a scorer needs the second one, `X_next` is used,
+            and must agree.
 
         Returns
         -------
@@ -291,17 +312,17 @@ default=None
         ValueError
             If a parameter is outside its range; if `X_next` and `sample_index`
             contradict each other; if no row has a successor; if a centre is no row
-            with a successor where interpolation needs it; if ``solver="cholesky"``
-            meets a Gram matrix that is not positive definite.
+            with a successor where interpolation needs it; if no solution is found, as
+            with ``solver="cholesky"`` and a Gram matrix that is not positive definite;
+            if least squares has a linear trend that the centres do not determine.
 
         Warns
         -----
         UserWarning
-            If `X_next` plainly lives on another scale than `X`: if the successors of
-            rows in the order of time are later rows that have been scaled or shifted,
-            or if all features differ by a factor of 30.
+            If the scale of `X_next` plainly differs from that of `X`, as it does when a
+            scaler transforms `X` only.
         LinAlgWarning
-            If dependent centres were left out, and that may matter.
+            If dependent centres were dropped, and that may matter.
         """
         given = X
         X, y = self._check_data(X, y)
@@ -395,11 +416,27 @@ default=None
         ----------
         X : array-like of shape (n_samples, n_features)
             The states.
+        return_std : bool, default=False
+            Whether to return the standard deviation as well.
 
         Returns
         -------
         y : ndarray of shape (n_samples,) or (n_samples, n_outputs)
             The estimate of G(f(x)): of the next states, if `fit` was given no `y`.
+        y_std : ndarray of the shape of `y`
+            Standard deviation of the outputs, as
+            :meth:`KoopmanKernelRegressor.predict` defines it; only if `return_std`. It
+            belongs to the whole model, also with `n_modes`.
+
+        Raises
+        ------
+        ValueError
+            With `return_std`, if a loaded Gram matrix cannot be factored on this
+            machine.
+
+        Notes
+        -----
+        O(n M) time for n states and M centres, and O(n M^2) more with `return_std`.
         """
         X = self._validated(X)
         y = self._predict(X).reshape(len(X), *self._output_shape)
@@ -439,16 +476,17 @@ default=None
             - False: by powers of the operator, which takes O(M^2) a step whatever
               the number of rows, or by its eigenvalues where that is cheaper (few
               rows, many steps) and the eigenvectors are well conditioned.
-            - True: by the learned map of states, from each state to the next one
-              and then to the output. This bends the forecast back to the states of
-              the training data at every step, but may settle on another orbit.
+            - True: by relifting. The learned map of states takes each state to the
+              next one, and the outputs follow from that, so that every step starts
+              from a state again. The forecast stays near the states of the training
+              data, but may settle on another orbit.
 
         Returns
         -------
         y : ndarray of shape (n_samples, n_steps) or (n_samples, n_steps, n_outputs)
             ``y[:, s]`` estimates the outputs s + 1 steps later; ``y[:, 0]`` is
-            ``predict(X)``. NaN from where a diverging forecast cannot be followed any
-            further: its numbers, or the states that it leads to, are too large.
+            ``predict(X)``. NaN from the step on at which a diverging forecast, or the
+            states on its way, become too large for numbers.
 
         Warns
         -----

@@ -56,125 +56,131 @@ METHODS = ("interpolation", "least_squares")
 class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     """Kernel estimate of the Koopman operator acting on measured outputs.
 
-    States follow an unknown map, x_{k+1} = f(x_k), on an unknown manifold; outputs
-    y = G(x) are measured. Given rows x_k with the outputs G(f(x_k)) one step (one
-    `lag`) later, this estimates the function
+    States follow an unknown map, x_{k+1} = f(x_k), on an unknown manifold. Outputs
+    y = G(x) of the states are measured. From rows x_k and the outputs G(f(x_k)) one
+    step later, this estimates the function
 
     .. math:: (U_f G)(x) = G(f(x))
 
-    in the span of the sections k(., xi_i) of a kernel at M centres xi_i. With one
-    `kernel` known on the whole space of states, no knowledge of the manifold is
-    needed.
+    where U_f is the Koopman operator of f. The estimate is a sum of kernel sections:
+    functions k(., xi_i) of a kernel k, one for each of M centres xi_i ([1]_). The
+    kernel is one on the whole space of states, so that the manifold need not be known.
 
     Parameters
     ----------
     kernel : str or Kernel, default="matern32"
-        One of "matern12", "matern32", "matern52", "wendland_c0", "wendland_c2",
-        "wendland_c4", "wendland_c6", "gaussian" and "inverse_multiquadric", or a
+        A name: "matern12", "matern32", "matern52", "wendland_c0", "wendland_c2",
+        "wendland_c4", "wendland_c6", "gaussian" or "inverse_multiquadric". Or a
         kernel object of :mod:`sklearn_koopman.kernels` or
         :mod:`sklearn.gaussian_process.kernels`, whose parameters can be tuned as
         ``kernel__beta`` and the like.
     beta : float, default=None
-        Scale of the kernel in the unit of the states, k(x, c) = phi(||x - c|| /
-        beta). None leaves that of the kernel object, and means 1 for a name.
+        Scale of the kernel in the unit of the states: k(x, c) = phi(||x - c|| / beta).
+        None keeps the scale of a kernel object, and means 1 for a name.
     centers : None, array-like of shape (n_centers, n_features), estimator or \
 "precomputed", default=None
         Where the kernel sections are centred.
 
         - None: at every distinct row of `X`.
         - array: at these states.
-        - estimator: at the `cluster_centers_` of a clone fitted to `X`, such as
-          :class:`SeparatedCenterSelector`; its parameters can be tuned as
-          ``centers__separation``.
+        - estimator: at the `cluster_centers_` of a clone that is fitted to `X`, such
+          as :class:`SeparatedCenterSelector`. Its parameters can be tuned as
+          ``centers__separation`` and the like.
         - "precomputed": `X` holds the distances of each state to every centre, as
-          ``SeparatedCenterSelector.transform`` gives them. They do not tell the
-          number of features: beyond three, give a Wendland kernel its `dimension`.
+          ``SeparatedCenterSelector.transform`` returns them. The number of features
+          does not follow from distances: for more than three features, set the
+          `dimension` of a Wendland kernel.
     method : {"interpolation", "least_squares"}, default="interpolation"
         Which outputs the estimate is made from.
 
-        - "interpolation": those of the centres, which have to be rows of `X` (the
-          first of equal rows counts; [1]_). Exact on noise-free data.
+        - "interpolation": those of the centres, which have to be rows of `X` ([1]_).
+          Of equal rows, the first one counts. Exact for outputs without noise.
         - "least_squares": those of all rows. Averages over noise, and over what the
           states do not determine.
 
-        Where every row is a centre the two are the same.
+        If every row is a centre, both are the same.
     alpha : float, default=0.0
-        Weight of the squared native-space norm against the squared residuals. 0
-        interpolates, or leaves the least-squares problem unpenalised.
+        Weight of the squared native norm of the estimate against the squared
+        residuals. The native norm is the norm of the reproducing kernel Hilbert space
+        of the kernel, its native space. 0 means no penalty.
     trend : {None, "constant", "linear"}, default=None
-        Polynomial tail that is solved for together with the kernel part, and that
-        predictions return to away from the centres. "linear" suits outputs that
-        change little in one step and are part of the state.
+        A polynomial that is solved for together with the kernel sections. Far from
+        the centres, predictions are close to it. Take "linear" for outputs that change
+        little in one step and are part of the state.
     solver : {"auto", "pivoted_cholesky", "cholesky"} or ConjugateGradient, \
 default="auto"
-        How the system of the Gram matrix is solved.
+        How the system of equations with the Gram matrix K = k(Xi, Xi) of the centres
+        Xi is solved.
 
-        - "pivoted_cholesky": by a dense Cholesky factor. Where the matrix is not
-          numerically positive definite, a pivoted factorisation leaves out the
-          centres that depend on others, with a warning unless `alpha` makes them
-          irrelevant to least squares.
-        - "cholesky": the same, with an error in place of leaving out centres.
+        - "pivoted_cholesky": by a dense Cholesky factor. If the matrix is not
+          numerically positive definite, centres that are numerically dependent on
+          others are dropped by a pivoted Cholesky factorisation, with a warning unless
+          `alpha` is so large that they do not matter to least squares.
+        - "cholesky": by a dense Cholesky factor, with an error instead of dropping
+          centres.
         - :class:`~sklearn_koopman.solvers.ConjugateGradient`: iteratively, without a
           dense matrix, for many centres.
-        - "auto": "pivoted_cholesky", but `ConjugateGradient()` where a dense matrix
-          would take more than half of the memory of the machine, or where there are
-          more than 5,000 centres and less than 1 % of its entries are not zero.
+        - "auto": `ConjugateGradient()` if a dense matrix would take more than half of
+          the memory of the machine, or if there are more than 5,000 centres and less
+          than 1 % of its entries are not zero. Otherwise "pivoted_cholesky".
     n_jobs : int, default=None
-        Number of threads for predictions and for the products of
+        Number of threads for predictions and for the matrix products of
         `ConjugateGradient`. None means 1 unless in a :obj:`joblib.parallel_config`
         context, -1 means all processors.
 
     Attributes
     ----------
     center_indices_ : ndarray of shape (n_centers,) or None
-        The rows of `X` that are centres; None for centres given from elsewhere,
-        which least squares takes.
+        The rows of `X` that are centres. None for least squares at centres that are
+        not chosen among the rows.
     centers_ : ndarray of shape (n_centers, n_features)
-        The centres. Not present with ``centers="precomputed"``.
+        The centres, in the unit of the states. Not present with
+        ``centers="precomputed"``.
     dual_coef_ : ndarray of shape (n_centers,) or (n_centers, n_outputs)
-        Coefficients of the kernel sections.
+        Coefficients of the kernel sections, in the unit of the outputs.
     trend_coef_ : ndarray of shape (1 + n_features,) or (1 + n_features, n_outputs)
-        Coefficients of the tail: of 1, then of each feature less its mean over the
-        centres. Only with a `trend`; for ``trend="constant"`` just the constant.
+        Coefficients of the trend: of 1, then of each feature less its mean over the
+        centres. With ``trend="constant"`` the first one only. Not present without a
+        `trend`.
     kernel_ : Kernel
         The kernel, with its scale and dimension.
     signal_std_ : float or ndarray of shape (n_outputs,)
-        Scale of the outputs in terms of the kernel. For interpolation
-        ``sqrt(u^T (K + alpha I)^-1 u / M)`` with M the number of centres: the
-        standard deviation at which the kernel, as the covariance of a Gaussian
-        process, makes the outputs most likely (restricted maximum likelihood, with M
-        less the rank of the trend, if there is one). For least squares the native
-        norm of the estimate over sqrt(M) instead, which is smaller, the stronger
-        `alpha` shrinks it.
+        Standard deviation of the outputs in the unit of the outputs, if the kernel is
+        the covariance of a Gaussian process. For interpolation it is the most likely
+        one, ``sqrt(u^T (K + alpha I)^-1 u / M)`` for the outputs u of M centres (with
+        a trend by restricted maximum likelihood: M less the number of polynomials).
+        For least squares it is the native norm of the estimate over sqrt(M), which is
+        the smaller, the larger `alpha` is.
     noise_std_ : float or ndarray of shape (n_outputs,)
-        Standard deviation of the outputs about the estimate. ``signal_std_ *
-        sqrt(alpha)`` for interpolation, and where every row is a centre; otherwise
-        the root of the sum of squared residuals over the number of rows less the
-        effective number of parameters (with conjugate gradients an estimate of it, good
-        to about 1 % of `noise_std_`).
+        Standard deviation of the outputs about the estimate, in the unit of the
+        outputs. For interpolation, and if every row is a centre, ``signal_std_ *
+        sqrt(alpha)``. Otherwise the root of the sum of squared residuals over the
+        number of rows less the effective number of parameters; the latter is
+        estimated by `ConjugateGradient`, so that `noise_std_` is good to about 1 %.
     solver_ : str or ConjugateGradient
-        What `solver` came to: "pivoted_cholesky", "cholesky" or the conjugate
-        gradients.
+        The solver used: "pivoted_cholesky", "cholesky" or a `ConjugateGradient`.
     n_iter_ : int
         Number of iterations. Only with conjugate gradients.
     solver_residual_ : float
-        Largest residual relative to the values to be met, computed anew at the end: of
-        any output and, for least squares, of the random vectors that estimate the
-        effective number of parameters. Only with conjugate gradients.
+        Largest residual of the system of equations, relative to its right-hand side.
+        It is computed anew at the end, for all outputs and, for least squares, for the
+        random vectors that estimate the effective number of parameters. Only with
+        conjugate gradients.
     rcond_ : float
-        Estimate of the reciprocal condition number of the matrix that was factored:
-        K, with `alpha` on its diagonal for interpolation. About ``-log10(rcond_)`` of
-        16 digits are lost in the coefficients, fewer in the predictions: where many
-        are lost, the estimate is accepted if it reproduces the values that it should
-        have to 1e-6 of their size. Not with conjugate gradients.
+        Estimate of the reciprocal condition number, in the 1-norm, of the matrix that
+        was factored: K, with `alpha` on its diagonal for interpolation. The
+        coefficients lose about ``-log10(rcond_)`` of 16 digits, the predictions fewer.
+        It is computed when it is first asked for, in O(M^2); after `partial_fit` has
+        added centres it is an upper bound. Not present with conjugate gradients.
     n_features_in_ : int
         Number of features seen during `fit`.
     feature_names_in_ : ndarray of shape (n_features_in_,)
-        Names of the features, where `X` had string names.
+        Names of the features, if `X` has string names.
 
     See Also
     --------
     KoopmanKernelRegressorCV : Chooses kernel, `beta` and `alpha` by cross-validation.
+    KernelEDMD : Estimates the whole operator, for forecasts of many steps.
     SeparatedCenterSelector : Chooses centres along trajectories.
     sklearn_koopman.trajectories.trajectory_pairs : Makes `X` and `y` of trajectories.
     sklearn.gaussian_process.GaussianProcessRegressor : Fits the scale of the kernel
@@ -182,31 +188,39 @@ default="auto"
 
     Notes
     -----
-    With K = k(Xi, Xi) and u the outputs of the centres, interpolation has the
-    coefficients c = (K + alpha I)^-1 u. For alpha = 0 this is the projection of U_f G
-    onto the span of the sections ([1]_, Section 3.4). Algorithm 1 there prints the
-    coefficients of the interpolant h of the pairs (f(xi_i), u_i), an estimate of G;
-    h(f(x)) has the same values u_i at the centres, so that its projection is this
-    estimate as well. Least squares minimises
+    Interpolation has the coefficients c = (K + alpha I)^-1 u, with the Gram matrix K
+    and the outputs u of the centres. For alpha = 0 the estimate is the projection of
+    U_f G onto the span of the sections ([1]_, Section 3.4). Algorithm 1 of [1]_ prints
+    the coefficients of another function: the interpolant h of the pairs (f(xi_i),
+    u_i), which estimates G. The function h(f(x)) has the values u_i at the centres,
+    too, so that its projection is the same estimate.
+
+    Least squares minimises
 
     .. math:: \\sum_i |y_i - g(x_i)|^2 + \\alpha \\|g\\|_H^2
 
-    over the same span: the empirical risk minimiser, which is what EDMD with the
-    sections as its dictionary predicts ([1]_, end of Section 3.4). It is solved in a
-    basis that is orthonormal in H.
+    over the functions g in the span of the sections, with the native norm. This
+    empirical risk minimiser is what EDMD with the sections as its dictionary predicts
+    ([1]_, end of Section 3.4). It is solved in a basis that is orthonormal in the
+    native space.
 
-    With a tail p(x) b the coefficients satisfy P(Xi)^T c = 0, as usual for
-    conditionally positive definite kernels; equal rows count as one centre with their
-    mean output, and with `alpha` over their number on the diagonal of K.
+    With a trend p(x)^T b, the coefficients of the sections satisfy P^T c = 0 for the
+    values P of the polynomials at the centres ([2]_, Chapter 8). Equal rows count as
+    one centre with their mean output, and with `alpha` over their number on the
+    diagonal of K.
 
-    Memory is one M x M matrix; the Cholesky factor is kept for `power_function`, but
-    not pickled, and computed anew when first needed after loading (which takes the
-    centres, so that after ``centers="precomputed"`` it cannot be).
+    With M centres and n rows of d features, a fit by a Cholesky factor takes O(M^3 / 3)
+    time, for least squares O(n M^2) more, and the memory of one M x M matrix.
+    Predictions take O(n M d), and O(n M^2) more with `return_std`. `fit` keeps the
+    Cholesky factor for `power_function`, `return_std` and `partial_fit`. A pickle does
+    not hold it: a loaded model computes it anew when it is first needed. With
+    ``centers="precomputed"`` that is not possible, since the centres are unknown.
 
     References
     ----------
-    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
-       of Animal Motions over Unknown Submanifolds".
+    .. [1] N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+       for Estimation of Animal Motions over Unknown Submanifolds",
+       arXiv:2203.05646, 2022.
     .. [2] H. Wendland, "Scattered Data Approximation", Cambridge University Press,
        2004, Chapters 8, 11 and 13.
 
@@ -265,16 +279,20 @@ default="auto"
         Raises
         ------
         ValueError
-            If a parameter is outside its range; if a centre is no row of `X` where
-            its output is needed; if equal rows have different outputs where every
-            row is to be interpolated; if least squares with ``alpha=0`` has fewer
-            rows than centres; if ``solver="cholesky"`` meets a Gram matrix that is
-            not positive definite.
+            If a parameter is outside its range; if a centre is no row of `X` where its
+            output is needed; if equal rows have different outputs where every row is
+            interpolated; if least squares with ``alpha=0`` has fewer rows than
+            centres, or rows that do not determine the coefficients; if least squares
+            has a linear trend that the centres do not determine; if no solution is
+            found, as with ``solver="cholesky"`` and a Gram matrix that is not positive
+            definite, or with conjugate gradients that diverge.
 
         Warns
         -----
         LinAlgWarning
-            If dependent centres were left out, and that may matter.
+            If dependent centres were dropped, and that may matter.
+        ConvergenceWarning
+            If conjugate gradients ended above their tolerance, by more than rounding.
         """
         given = X
         X, y = check_X_y(
@@ -313,13 +331,13 @@ default="auto"
 
     @available_if(check_can_grow)
     def partial_fit(self, X: Any, y: Any) -> KoopmanKernelRegressor:
-        """Learn from further rows, as if all had been given to one `fit`.
+        """Learn from a further batch of rows, as if all had been given to one `fit`.
 
-        Interpolation adds the rows that become centres, k of them, to the Cholesky
-        factor, in O(k M^2) operations: with ``centers=None`` all that are new, with a
-        :class:`SeparatedCenterSelector` those farther than its separation from all
-        centres so far. Least squares at given centres adds the rows to its normal
-        equations, so that memory does not grow with their number.
+        Interpolation adds the rows that become centres to the Cholesky factor: with
+        ``centers=None`` all rows that are new, with a :class:`SeparatedCenterSelector`
+        those farther than its separation from all centres so far. Least squares at
+        given centres adds the rows to its normal equations, so that memory does not
+        grow with their number.
 
         Parameters
         ----------
@@ -330,31 +348,35 @@ default="auto"
 
         Returns
         -------
-        self : object
+        self : KoopmanKernelRegressor
             The estimate from all rows so far.
 
         Raises
         ------
         ValueError
-            As in `fit`; for outputs of another shape than before; for parameters that
-            were changed since. Nothing is learned from the batch then.
+            As in `fit`, or for outputs of another shape than before. The estimate then
+            stays as it was.
         AttributeError
-            For centres and solvers that cannot grow, such as conjugate gradients; for
-            least squares at chosen centres after `fit`, or in a copy or after loading
-            from a pickle, none of which keeps its sums.
+            For centres and solvers that cannot grow: conjugate gradients; least
+            squares with a selector (find the centres first, by
+            `SeparatedCenterSelector.partial_fit`, and give them as an array); least
+            squares at given centres after `fit`, or in a copy or after loading, none
+            of which keeps the sums.
+
+        Warns
+        -----
+        LinAlgWarning
+            If dependent centres were dropped, and that may matter.
 
         Notes
         -----
-        Least squares with a selector keeps the rows, and starts anew when a batch
-        brings new centres. To stream through recordings that are larger than memory,
-        find the centres first, by `SeparatedCenterSelector.partial_fit`, and give them
-        as an array.
+        The parameters must be those of the first batch. k new centres take O(k M^2)
+        time, and n rows of least squares O(n M^2).
 
-        After centres have been added, `rcond_` is an upper bound by the pivots of the
-        factor. Where they come close to being dependent, all are factored anew, and
-        left out as in `fit`; which ones then depends on the order, and the estimate is
-        that of `fit` only as far as such matrices tell. `noise_` of least squares is a
-        difference of sums, and not told where it is below about 1e-8 of the outputs.
+        If new centres make the Gram matrix nearly singular, it is factored anew and
+        dependent centres are dropped as in `fit`. Which ones depends on the order of
+        the batches. For least squares, `noise_std_` is accurate only down to about
+        1e-8 of the size of the outputs.
         """
         started = hasattr(self, "dual_coef_")
         if not started and self._interpolates_centers:
@@ -375,7 +397,7 @@ default="auto"
             )
         outputs, growth = y.reshape(len(y), -1), getattr(self, "_growth", None)
         if self._interpolates_centers:
-            system, averages = self._direct_system(), self._averages()
+            system, averages = self._direct_system(), AveragedOutputs(*self._averages)
             rows, n_rows = self.center_indices_, self._n_rows
             estimate = add_centers(system, averages, rows, n_rows, self, X, outputs)
         elif growth is not None:
@@ -408,17 +430,23 @@ default="auto"
             The estimate of G(f(x)).
         y_std : ndarray of the shape of `y`
             Standard deviation of the outputs, ``sqrt((signal_std_ * P) ** 2 +
-            noise_std_ ** 2)`` with the power function P; only if `return_std`. This
-            takes the outputs for a sample of a Gaussian process with this kernel and
-            independent noise. It is too wide where they are smoother than that, and
-            too narrow on a trajectory that differs from those of the training data.
+            noise_std_ ** 2)`` with the power function P. Only if `return_std`. The
+            outputs are taken for a sample of a Gaussian process with this kernel and
+            independent noise. The standard deviation is too large for outputs that are
+            smoother than the kernel, and too small on trajectories unlike those of the
+            training data.
 
         Raises
         ------
         ValueError
-            If `X` has another number of columns than in `fit`, or negative distances;
-            with `return_std`, if the model was fitted to distances and loaded from a
-            pickle.
+            If `X` has another number of columns than in `fit`, or negative distances.
+            With `return_std`, if the model was fitted to distances and loaded from a
+            pickle, or if a loaded Gram matrix cannot be factored on this machine.
+
+        Warns
+        -----
+        ConvergenceWarning
+            With `return_std`, if conjugate gradients do not converge for all states.
         """
         check_is_fitted(self)
         X = self._validated(X)
@@ -435,11 +463,11 @@ default="auto"
 
         .. math:: P(x)^2 = k(x, x) - k(x, \\Xi)\\, K^{-1} k(\\Xi, x)
 
-        is the squared distance of k(., x) from the span of the sections, so that
-        ``|g(x) - estimate(x)| <= P(x) ||g||_H`` for every g in the native space H of
-        the kernel ([2]_ of the class, Theorem 11.4). With a `trend` it is that of the
-        span with the polynomials. Where ``alpha > 0`` is on the diagonal of K, for
-        interpolation and where every row is a centre, it is there here, too.
+        is the squared distance of the section k(., x) from the span of the sections of
+        the centres. Therefore ``|g(x) - estimate(x)| <= P(x) ||g||_H`` for every g in
+        the native space H of the kernel ([2]_ of the class, Theorem 11.4). With a
+        `trend` the span includes the polynomials. For interpolation, and if every row
+        is a centre, K has `alpha` on its diagonal.
 
         Parameters
         ----------
@@ -450,14 +478,25 @@ default="auto"
         Returns
         -------
         power : ndarray of shape (n_samples,)
-            Zero at the centres (up to the square root of the rounding error, if alpha
-            is 0 and the kernel has no noise term), and at most sqrt(k(x, x)) without
-            a `trend`.
+            The power function, in the unit of the square root of the kernel. It is
+            zero at the centres (up to the square root of the rounding error, if alpha
+            is 0 and the kernel has no noise term), and at most sqrt(k(x, x)) without a
+            `trend`.
 
         Raises
         ------
         ValueError
-            If the model was fitted to distances and loaded from a pickle.
+            If the model was fitted to distances and loaded from a pickle, or if a
+            loaded Gram matrix cannot be factored on this machine.
+
+        Warns
+        -----
+        ConvergenceWarning
+            If conjugate gradients do not converge for all states.
+
+        Notes
+        -----
+        O(n M^2) time for n states and M centres.
         """
         check_is_fitted(self)
         return self._fitted_system().power(self._validated(X), self.n_jobs)
@@ -467,9 +506,9 @@ default="auto"
 
         .. math:: |(U_f G)(x) - \\text{estimate}(x)| \\le P(x)\\, \\|U_f G\\|_H
 
-        with the power function P ([2]_ of the class, Theorem 11.4), for outputs
-        without noise of functions in the native space H of the kernel. With a `trend`
-        any polynomial may be taken off the function before its norm.
+        with the power function P ([2]_ of the class, Theorem 11.4). It holds for
+        outputs without noise and for functions in the native space H of the kernel.
+        With a `trend`, the norm is that of the function less any polynomial.
 
         Parameters
         ----------
@@ -477,46 +516,46 @@ default="auto"
             The states, or their distances to the centres with
             ``centers="precomputed"``.
         norm : float or array-like of shape (n_outputs,), default=None
-            The native norm of U_f G. With a number that is known the bound is rigorous
-            (up to rounding). None estimates it from the data: from the norm of the
-            interpolant, which never exceeds it, and from how much that grew with the
-            second half of the centres. The estimate is too small for functions that
-            are not in the native space (take a rougher kernel), that have detail
-            which falls between the centres, or with too few centres to see the norm
-            settle; the bound fails with it. For smooth outputs it is far too large:
-            their error falls with a higher order than the power function.
+            The native norm of U_f G. If the true norm is given, the bound is rigorous,
+            up to rounding. None estimates it from the norm of the interpolant, which
+            is never larger, and from how much that grew with the second half of the
+            centres. The estimate is too small for functions outside the native space
+            (take a rougher kernel), for functions with detail between the centres, and
+            with too few centres; the bound can then be too small as well. For smooth
+            outputs the bound is far too large: their error falls with a higher order
+            than the power function.
 
         Returns
         -------
         bound : ndarray of shape (n_samples,) or (n_samples, n_outputs)
             The bound, in the unit of the outputs. It includes the rounding error of
             the squared power function, 1e-13 of the kernel. Infinite where a linear
-            trend goes in directions that the centres do not tell.
+            trend is not determined by the centres.
 
         Raises
         ------
         ValueError
-            If the estimate is one of least squares, which has no such bound, or was
-            solved by conjugate gradients; if
-            `norm` is no finite number for each output, 0 or above; if it is left out
-            where the centres are not known, or too few for an estimate; if the model
-            was fitted to distances and loaded from a pickle.
+            If the estimate is one of least squares at chosen centres, which has no
+            such bound, or was solved by conjugate gradients; if `norm` is no finite
+            number of at least 0 for each output; if the norm cannot be estimated,
+            because the centres are unknown or too few; if the model was fitted to
+            distances and loaded from a pickle.
 
         Warns
         -----
         UserWarning
-            If states are off the manifold: where the power function is larger than at
-            any centre that is left out of the others (centres that lie apart do not
-            count) or infinite, or where, without a trend, no centre tells anything.
+            If a state is far from the training data: its power function exceeds the
+            largest leave-one-out power function of the centres (isolated centres are
+            ignored), or no centre lies within the range of the kernel.
 
         Notes
         -----
         Behind the other steps of a pipeline this is ``pipeline[-1].error_bound(
         pipeline[:-1].transform(X))``. The first call takes the time and the memory of
-        another factorisation.
+        another factorisation, later ones O(n M^2).
         """
         check_is_fitted(self)
-        if not hasattr(self, "_output_means"):
+        if not hasattr(self, "_averages"):
             raise ValueError(
                 "error_bound is that of interpolation; method='least_squares' at "
                 "chosen centres averages over rows that no function of the span meets, "
@@ -542,7 +581,13 @@ default="auto"
 
     @property
     def rcond_(self) -> float:
-        """Reciprocal condition number of the Gram matrix; see the class."""
+        """Reciprocal condition number of the Gram matrix; see the class.
+
+        Returns
+        -------
+        rcond : float
+            The estimate, computed once.
+        """
         if "_rcond" not in vars(self):
             if not isinstance(getattr(self, "_system", None), DirectSystem):
                 raise AttributeError(
@@ -670,13 +715,8 @@ default="auto"
         self._n_rows = n_rows
         self._nugget = system.nugget
         if averages is not None:
-            self._output_means, self._output_counts, self._output_scatter = averages
+            self._averages = tuple(averages)
         self._system = system
-
-    def _averages(self) -> AveragedOutputs:
-        return AveragedOutputs(
-            self._output_means, self._output_counts, self._output_scatter
-        )
 
     def _sections(self) -> Sections:
         if hasattr(self, "centers_"):
@@ -716,7 +756,7 @@ default="auto"
                 f"trend={self.trend!r}; give norm, or take more centres."
             )
         seminorm = np.ravel(self.signal_std_) * np.sqrt(degrees)
-        self._norms = native_norm(system, self._output_means, seminorm)
+        self._norms = native_norm(system, self._averages[0], seminorm)
         return self._norms
 
     def _direct_system(self) -> DirectSystem:
@@ -751,9 +791,7 @@ _STALE = (
     *_NOT_PICKLED,
     "_rcond",
     "_columns",
-    "_output_means",
-    "_output_counts",
-    "_output_scatter",
+    "_averages",
     "centers_",
     "trend_coef_",
     "n_iter_",
