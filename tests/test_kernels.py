@@ -310,13 +310,27 @@ def test_input_is_not_written_to(make):
 @every_kernel
 def test_huge_and_tiny_distances(make):
     X = np.array([[0.0, 0], [1, 0], [0, -1], [1, 1]])
-    K, gradient = make()(1e200 * X, eval_gradient=True)
-    assert_allclose(K, np.eye(4), rtol=0, atol=1e-70)
-    assert_allclose(gradient, 0, rtol=0, atol=1e-70)
+    K, gradient = make()(1e70 * X, eval_gradient=True)
+    assert_allclose(K, np.eye(4), rtol=0, atol=1e-69)
+    assert_allclose(gradient, 0, rtol=0, atol=1e-69)
     K, gradient = make()(1e-200 * X, eval_gradient=True)
     assert_array_equal(K, 1)
     assert_array_equal(gradient, 0)
-    assert_array_equal(make()(1e200 * X, 1e-200 * X)[0], 1)
+    assert_array_equal(make()(1e70 * X, 1e-200 * X)[0], 1)
+
+
+@pytest.mark.parametrize("beta", [1.0, 1e-300, np.float64(1e-300)])
+def test_states_whose_profile_could_overflow_are_refused(beta):
+    kernel = MaternSobolev(beta)
+    for sign in (1.0, -1.0):
+        X = sign * np.array([[0.0, 0.0], [1.1e70 * beta, 0.0]])
+        message = r"up to .*1e\+70 times beta=.*rescale the states.*or raise beta"
+        with pytest.raises(ValueError, match=message):
+            kernel(X)
+        with pytest.raises(ValueError, match=message):
+            kernel(0 * X, X)
+    with pytest.raises(ValueError, match=r"up to 1e\+200"):
+        kernel([[1e200, 0.0]])
 
 
 # --- gradients and hyperparameters --------------------------------------------------
@@ -428,6 +442,8 @@ def test_repr(kernel, shown):
 # --- Gaussian processes -------------------------------------------------------------
 
 
+# A line search that stops at the rounding of the likelihood warns.
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
 @every_kernel
 def test_gaussian_process_optimises_the_scale(make):
     rng = np.random.default_rng(0)
