@@ -313,7 +313,7 @@ class MaternSobolev(RadialKernel):
         return out
 
     def log_gradient(self, r: Array, n_features: int) -> Array:
-        # The derivative of p(z) exp(-z) with respect to log(beta) is z (p - p') exp(-z).
+        # With respect to log(beta), p(z) exp(-z) has the derivative z (p - p') exp(-z).
         p = self._polynomial()
         falling = tuple(np.subtract(p, (*_derivative(p), 0.0)))
         z = np.sqrt(2 * self.nu) * r

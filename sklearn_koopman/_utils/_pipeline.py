@@ -1,4 +1,4 @@
-"""Looking into fitted pipelines and searches."""
+"""Fitted pipelines and searches, taken apart."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from sklearn.pipeline import Pipeline
 
 
 def unwrap(estimator: Any) -> tuple[Any, Any]:
-    """Split a fitted estimator into its very last step and what comes before.
+    """Split a fitted estimator into its last step and the steps before it.
 
     Parameters
     ----------
@@ -50,6 +50,6 @@ def transformed(front: Any, X: Any) -> Any:
     Returns
     -------
     X : array-like
-        What the last step sees.
+        The states as the last step receives them.
     """
     return X if front is None else front.transform(X)

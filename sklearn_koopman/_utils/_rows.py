@@ -1,4 +1,4 @@
-"""Equal rows: which they are, and their mean outputs."""
+"""Equal rows: which they are, and the means of their outputs."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ def distinct_rows(X: Array) -> tuple[Indices, Indices, Indices]:
     Returns
     -------
     first : ndarray of shape (n_distinct,)
-        The first of each lot of equal rows, in rising order.
+        The first row of each group of equal rows, in rising order.
     group : ndarray of shape (n_samples,)
-        Which of them each row equals.
+        The number of the group that each row belongs to.
     counts : ndarray of shape (n_distinct,)
-        How many rows equal each of them.
+        The number of rows in each group.
     """
     _, first, group, counts = np.unique(
         X, axis=0, return_index=True, return_inverse=True, return_counts=True
     )
-    # In the order of the rows, not in that of their values.
+    # NumPy numbers the groups by their values. Here they are numbered by their rows.
     order = np.argsort(first)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
@@ -51,27 +51,33 @@ def group_means(values: Array, group: Indices) -> Array:
     means : ndarray of shape (n_groups, n_columns)
         The mean of each group.
     """
-    counts = np.bincount(group)
-    means = np.zeros((len(counts), values.shape[1]))
-    np.add.at(means, group, values)
-    means /= counts[:, np.newaxis]
-    return means
+    return _group_sums(values, group) / np.bincount(group)[:, np.newaxis]
 
 
 @dataclass(frozen=True)
 class AveragedOutputs:
-    """Outputs at distinct states, as means of the rows that are equal."""
+    """Outputs at distinct states: the means over the rows with the same state.
 
-    means: Array  # (n_distinct, n_outputs)
-    counts: Array  # (n_distinct,): how many rows each stands for
-    scatter: Array  # (n_outputs,): sum of the squared deviations from the means
+    Attributes
+    ----------
+    means : ndarray of shape (n_distinct, n_outputs)
+        The mean outputs at each state.
+    counts : ndarray of shape (n_distinct,)
+        The number of rows with that state.
+    scatter : ndarray of shape (n_outputs,)
+        The sum of the squared deviations of all rows from the means.
+    """
+
+    means: Array
+    counts: Array
+    scatter: Array
 
     def take(self, rows: Indices) -> AveragedOutputs:
-        """Return the values at some of the states."""
+        """Return the outputs at some of the states."""
         return AveragedOutputs(self.means[rows], self.counts[rows], self.scatter)
 
     def joined(self, y: Array) -> AveragedOutputs:
-        """Return these values with those of further rows."""
+        """Return these outputs followed by those of further, distinct rows."""
         return AveragedOutputs(
             np.vstack([self.means, y]),
             np.append(self.counts, np.ones(len(y))),
@@ -79,53 +85,81 @@ class AveragedOutputs:
         )
 
 
-def merge_equal_rows(
+def average_equal_rows(
     X: Array, values: AveragedOutputs, exact: bool, numbers: Indices
 ) -> tuple[Indices, AveragedOutputs]:
-    """Average the values of equal rows.
+    """Average the outputs of equal rows.
 
     Parameters
     ----------
     X : ndarray of shape (n_samples, n_features)
         The states.
     values : AveragedOutputs
-        Their values.
+        The outputs of these rows, which may be averages themselves.
     exact : bool
-        Whether equal rows must have equal values.
+        Whether equal rows must have equal outputs.
     numbers : ndarray of shape (n_samples,)
         The numbers of the rows, for the error.
 
     Returns
     -------
     first : ndarray of shape (n_distinct,)
-        The first of each lot of equal rows, in rising order.
-    merged : AveragedOutputs
-        The values there.
+        The first row of each group of equal rows, in rising order.
+    averaged : AveragedOutputs
+        The outputs at these rows.
 
     Raises
     ------
     ValueError
-        If `exact`, and equal rows have different values.
+        If `exact`, and equal rows have different outputs.
     """
     first, group, _ = distinct_rows(X)
     if len(first) == len(X):
         return first, values
-    counts = np.zeros(len(first))
-    np.add.at(counts, group, values.counts)
-    means = np.zeros((len(first), values.means.shape[1]))
-    np.add.at(means, group, values.counts[:, np.newaxis] * values.means)
-    means /= counts[:, np.newaxis]
-    deviation = values.means - means[group]
-    worst = int(np.abs(deviation).max(axis=1).argmax())
-    limit = 1e-10 * np.abs(values.means).max()
-    if exact and np.abs(deviation[worst]).max() > limit:
-        equal = np.flatnonzero(group == group[worst])
-        away = np.abs(values.means[equal] - values.means[equal[0]]).max(axis=1)
-        raise ValueError(
-            f"rows {numbers[equal[0]]} and {numbers[equal[away.argmax()]]} of X are "
-            "equal but their outputs differ: with alpha=0 no function interpolates "
-            "both. Set alpha > 0 or method='least_squares', or add delays to the "
-            "states."
-        )
-    scatter = values.scatter + values.counts @ deviation**2
+    if exact:
+        check_equal_rows_agree(values.means, group, numbers)
+    counts = np.bincount(group, weights=values.counts).astype(np.float64)
+    weighted = values.counts[:, np.newaxis] * values.means
+    means = _group_sums(weighted, group) / counts[:, np.newaxis]
+    scatter = values.scatter + values.counts @ (values.means - means[group]) ** 2
     return first, AveragedOutputs(means, counts, scatter)
+
+
+def check_equal_rows_agree(
+    values: Array, group: Indices, numbers: Indices | None = None
+) -> None:
+    """Refuse equal rows whose outputs differ by more than rounding.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n_samples, n_outputs)
+        The outputs.
+    group : ndarray of shape (n_samples,)
+        The number of the group of equal rows that each row belongs to.
+    numbers : ndarray of shape (n_samples,), default=None
+        The numbers of the rows, for the error. By default they are counted from 0.
+
+    Raises
+    ------
+    ValueError
+        If the outputs of a group differ.
+    """
+    deviation = np.abs(values - group_means(values, group)[group]).max(axis=1)
+    worst = int(deviation.argmax())
+    if deviation[worst] <= 1e-10 * np.abs(values).max():
+        return
+    equal = np.flatnonzero(group == group[worst])
+    away = np.abs(values[equal] - values[equal[0]]).max(axis=1)
+    rows = equal[[0, int(away.argmax())]]
+    one, other = rows if numbers is None else numbers[rows]
+    raise ValueError(
+        f"rows {one} and {other} of X are equal but their outputs differ: with alpha=0 "
+        "no function interpolates both. Set alpha > 0 or method='least_squares', or "
+        "add delays to the states."
+    )
+
+
+def _group_sums(values: Array, group: Indices) -> Array:
+    sums = np.zeros((group.max() + 1, values.shape[1]))
+    np.add.at(sums, group, values)
+    return sums

@@ -1,4 +1,4 @@
-"""Checks of parameters that scikit-learn's public helpers do not cover."""
+"""Checks of parameters and data that scikit-learn's public helpers do not cover."""
 
 import math
 from collections.abc import Collection
@@ -6,11 +6,12 @@ from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sklearn_koopman._utils._typing import Array
 
 
 def check_number(value: Any, name: str, *, positive: bool = False) -> None:
-    """Refuse anything but a finite number above (or at) zero, NaN included."""
+    """Refuse anything but a finite number of at least zero, or above zero."""
     is_number = isinstance(value, Real) and not isinstance(value, bool)
     number = float(value) if is_number else math.nan
     if math.isfinite(number) and (number > 0 or (number == 0 and not positive)):
@@ -20,21 +21,18 @@ def check_number(value: Any, name: str, *, positive: bool = False) -> None:
 
 
 def check_integer(value: Any, name: str, minimum: int) -> None:
-    """Refuse anything but an integer from a minimum on."""
+    """Refuse anything but an integer of at least a minimum."""
     is_integer = isinstance(value, Integral) and not isinstance(value, bool)
     if is_integer and int(value) >= minimum:
         return
     raise ValueError(f"{name} must be an integer of at least {minimum}, got {value!r}.")
 
 
-def check_positive(values: Any, name: str) -> NDArray[np.float64]:
-    """Return a list of numbers; refuse any that is not finite and above zero."""
+def check_positive(values: Any, name: str) -> Array:
+    """Return numbers as an array; refuse any that is not finite and positive."""
     numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
-    if (
-        numbers.ndim == 1
-        and numbers.size
-        and (np.isfinite(numbers) & (numbers > 0)).all()
-    ):
+    good = np.isfinite(numbers) & (numbers > 0)
+    if numbers.ndim == 1 and numbers.size and good.all():
         return numbers
     raise ValueError(
         f"{name} must be a list of positive, finite numbers, got {values!r}."
@@ -56,13 +54,20 @@ def check_choice(value: Any, name: str, choices: Collection[Any]) -> None:
         )
 
 
-def check_magnitude(
-    X: NDArray[np.float64], smallest: float = 1e-150, name: str = "X"
-) -> None:
+def check_magnitude(X: Array, smallest: float = 1e-150, name: str = "X") -> None:
     """Refuse states whose squared distances leave the range of a double."""
     largest = max(X.max(), -X.min())  # without a copy of all values
     if largest > 1e150 or 0 < largest < smallest:
         raise ValueError(
             f"{name} has values up to {largest:.3g}, whose squares double precision "
             f"cannot hold; rescale {name}, by StandardScaler for example."
+        )
+
+
+def check_distances(X: Array) -> None:
+    """Refuse negative entries of what should be distances to the centres."""
+    if X.min() < 0:
+        raise ValueError(
+            f"X holds {X.min():.3g}: with centers='precomputed' its entries are "
+            "distances to the centres, as SeparatedCenterSelector.transform gives them."
         )
