@@ -27,14 +27,10 @@ from sklearn_koopman._matrices._sections import (
 )
 from sklearn_koopman._regression import _error_bound
 from sklearn_koopman._regression._partial_fit import GrowthMixin
-from sklearn_koopman._utils._rows import AveragedOutputs, merge_equal_rows
+from sklearn_koopman._utils._rows import AveragedOutputs, average_equal_rows
 from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman._utils._validation import check_number
-from sklearn_koopman.centers import (
-    check_distances,
-    choose_centers,
-    rows_at_distance_zero,
-)
+from sklearn_koopman._utils._validation import check_distances, check_number
+from sklearn_koopman.centers import choose_centers, rows_at_distance_zero
 from sklearn_koopman.kernels import as_kernel
 from sklearn_koopman.solvers import ConjugateGradient, check_solver
 
@@ -539,7 +535,7 @@ default="auto"
         self, X: Array, values: AveragedOutputs, numbers: Indices
     ) -> tuple[Indices, AveragedOutputs]:
         exact = self.method == "interpolation" and self.alpha == 0
-        return merge_equal_rows(X, values, exact, numbers)
+        return average_equal_rows(X, values, exact, numbers)
 
     def _negligible(self, n_rows: int) -> float:
         """Return which part of a section may be left out without a warning."""

@@ -13,9 +13,9 @@ from sklearn_koopman._linalg._cholesky import NativeBasis
 from sklearn_koopman._linalg._direct import interpolation
 from sklearn_koopman._matrices._polynomial import PolynomialTrend
 from sklearn_koopman._matrices._sections import Sections
+from sklearn_koopman._selection import farthest_centers
 from sklearn_koopman._utils._typing import Array
 from sklearn_koopman._utils._validation import check_number
-from sklearn_koopman.centers import farthest_centers
 
 # What rounding leaves undecided of the squared power function, over that of the kernel.
 ROUNDING = 1e-13
