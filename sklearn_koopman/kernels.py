@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABCMeta, abstractmethod
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,6 +31,7 @@ __all__ = [
 ]
 
 T = TypeVar("T")
+Bounds: TypeAlias = tuple[float, float] | str
 
 # Largest coordinate of a state in units of beta. Up to there the cube of a distance,
 # the highest power in any profile, stays within the range of a double.
@@ -98,9 +99,7 @@ class RadialKernel(
     array([0.991])
     """
 
-    def __init__(
-        self, beta: float = 1.0, beta_bounds: tuple[float, float] | str = (1e-5, 1e5)
-    ) -> None:
+    def __init__(self, beta: float = 1.0, beta_bounds: Bounds = (1e-5, 1e5)) -> None:
         self.beta = beta
         self.beta_bounds = beta_bounds
 
@@ -294,16 +293,13 @@ class MaternSobolev(RadialKernel):
     }
 
     def __init__(
-        self,
-        beta: float = 1.0,
-        nu: float = 1.5,
-        beta_bounds: tuple[float, float] | str = (1e-5, 1e5),
+        self, beta: float = 1.0, nu: float = 1.5, beta_bounds: Bounds = (1e-5, 1e5)
     ) -> None:
         super().__init__(beta, beta_bounds)
         self.nu = nu
 
     def profile(self, r: Array, n_features: int, out: Array | None = None) -> Array:
-        p = self._polynomial()
+        p = _look_up(self._POLYNOMIALS, self.nu, "nu")
         r, out = _writable(r, out)
         r *= np.sqrt(2 * self.nu)
         _evaluate_polynomial(p, r, out)
@@ -314,17 +310,14 @@ class MaternSobolev(RadialKernel):
 
     def log_gradient(self, r: Array, n_features: int) -> Array:
         # With respect to log(beta), p(z) exp(-z) has the derivative z (p - p') exp(-z).
-        p = self._polynomial()
+        p = _look_up(self._POLYNOMIALS, self.nu, "nu")
         falling = tuple(np.subtract(p, (*_derivative(p), 0.0)))
         z = np.sqrt(2 * self.nu) * r
         return z * _evaluate_polynomial(falling, z) * np.exp(-z)
 
     def sobolev_order(self, n_features: int) -> float:
-        self._polynomial()
+        _look_up(self._POLYNOMIALS, self.nu, "nu")
         return self.nu + n_features / 2
-
-    def _polynomial(self) -> tuple[float, ...]:
-        return _look_up(self._POLYNOMIALS, self.nu, "nu")
 
 
 class Wendland(RadialKernel):
@@ -403,7 +396,7 @@ class Wendland(RadialKernel):
         beta: float = 1.0,
         smoothness: int = 2,
         dimension: int | None = None,
-        beta_bounds: tuple[float, float] | str = (1e-5, 1e5),
+        beta_bounds: Bounds = (1e-5, 1e5),
     ) -> None:
         super().__init__(beta, beta_bounds)
         self.smoothness = smoothness

@@ -23,15 +23,13 @@ def unwrap(estimator: Any) -> tuple[Any, Any]:
         The steps before it, if any.
     """
     fronts: list[Pipeline] = []
-    while True:
+    while isinstance(estimator, Pipeline) or hasattr(estimator, "best_estimator_"):
         if hasattr(estimator, "best_estimator_"):
             estimator = estimator.best_estimator_
-        elif isinstance(estimator, Pipeline):
-            if len(estimator) > 1:
-                fronts.append(estimator[:-1])
-            estimator = estimator[-1]
-        else:
-            break
+            continue
+        if len(estimator) > 1:
+            fronts.append(estimator[:-1])
+        estimator = estimator[-1]
     if len(fronts) < 2:
         return estimator, fronts[0] if fronts else None
     return estimator, Pipeline([(str(i), front) for i, front in enumerate(fronts)])

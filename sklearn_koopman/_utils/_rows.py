@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,8 +54,7 @@ def group_means(values: Array, group: Indices) -> Array:
     return _group_sums(values, group) / np.bincount(group)[:, np.newaxis]
 
 
-@dataclass(frozen=True)
-class AveragedOutputs:
+class AveragedOutputs(NamedTuple):
     """Outputs at distinct states: the means over the rows with the same state.
 
     Attributes

@@ -54,6 +54,26 @@ def check_choice(value: Any, name: str, choices: Collection[Any]) -> None:
         )
 
 
+def check_parameters(
+    estimator: Any, *, non_negative: Collection[str] = (), **choices: Collection[Any]
+) -> None:
+    """Refuse parameters that are no non-negative number, or none of their choices."""
+    for name in non_negative:
+        check_number(getattr(estimator, name), name)
+    for name, values in choices.items():
+        check_choice(getattr(estimator, name), name, values)
+
+
+def check_columns(data: Any, name: str, other: Any, other_name: str) -> None:
+    """Refuse frames whose columns have other names, or another order."""
+    columns, others = (getattr(frame, "columns", None) for frame in (data, other))
+    if columns is not None and others is not None and list(columns) != list(others):
+        raise ValueError(
+            f"{name} has the columns {list(columns)}, but {other_name} has "
+            f"{list(others)}; bring them into one order."
+        )
+
+
 def check_magnitude(X: Array, smallest: float = 1e-150, name: str = "X") -> None:
     """Refuse states whose squared distances leave the range of a double."""
     largest = max(X.max(), -X.min())  # without a copy of all values
