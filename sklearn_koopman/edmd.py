@@ -322,7 +322,7 @@ default=None
         consecutive = X_next is None and sample_index is None
         if X_next is not None:
             X_next = _successors.check_successors(given, X_next)
-        here, X_next = _successors.successors(X, X_next, sample_index)
+        here, X_next = _successors.find_successors(X, X_next, sample_index)
         outputs = X_next if y is None else y.reshape(len(y), -1)
         check_magnitude(outputs, smallest=0.0, name="y")
         targets = X_next if y is None else np.hstack([outputs[here], X_next])

@@ -265,7 +265,7 @@ class GrowthMixin:
             basis.sections, basis.tail, points[left_out], solution.dual, solution.trend
         )
         missed = values.counts[left_out] @ (values.means[left_out] - there) ** 2
-        return replace(kept, scatter=kept.scatter + missed)
+        return kept._replace(scatter=kept.scatter + missed)
 
     def _add_rows(self, given: Any, X: Array, y: Array, started: bool) -> None:
         """Add rows to least squares at chosen centres."""
