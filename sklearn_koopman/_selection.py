@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
+from sklearn.utils import gen_batches
 
 from sklearn_koopman._utils._typing import Array, Indices, Mask
 from sklearn_koopman._utils._validation import check_magnitude
@@ -129,7 +130,10 @@ def farthest_centers(
     """
     n_samples = len(X)
     most = n_samples if max_centers is None else max_centers
-    tree, order = _sorted_tree(X)
+    # Splits at the median would take quadratic time on repeated samples.
+    build_tree = partial(KDTree, balanced_tree=False, compact_nodes=False)
+    order = np.asarray(build_tree(X).indices)
+    tree = build_tree(X[order])
     # In the order of the tree, samples near each other in space are near each other
     # in memory. A new centre therefore changes the distances of few blocks, and the
     # farthest sample is found from the largest distance of each block.
@@ -148,9 +152,14 @@ def farthest_centers(
         block, offset = np.nonzero(blocks[where] == radius)
         row = int(order[where[block] * size + offset].min())
         indices.append(row)
-        # No sample is farther than `radius` from a centre before.
-        near, distances = _ball(tree, X[row], radius)
-        distance[near] = np.minimum(distance[near], distances)
+        # Samples beyond `radius` are nearer to an earlier centre. The tree rounds
+        # distances in another way; the margin makes it find all others.
+        ball: Any = tree.query_ball_point(
+            X[row], radius * (1 + 1e-9), return_sorted=False
+        )
+        near = np.array(ball, dtype=np.intp)
+        to_center = _distances(tree.data[near], X[row])
+        distance[near] = np.minimum(distance[near], to_center)
         touched = np.zeros(n_blocks, dtype=bool)
         touched[near // size] = True
         farthest[touched] = blocks[touched].max(axis=1)
@@ -184,25 +193,6 @@ def nearest_centers(X: Array, trees: list[KDTree]) -> tuple[Array, Indices]:
         labels[nearer] = first + np.asarray(label)[nearer]
         first += tree.n
     return distances, labels
-
-
-def _sorted_tree(X: Array) -> tuple[KDTree, Indices]:
-    """Sort the samples by their place in a tree; return their tree and their order."""
-    # Splits at the median take quadratic time on repeated samples.
-    build = partial(KDTree, balanced_tree=False, compact_nodes=False)
-    order = np.asarray(build(X).indices)
-    return build(X[order]), order
-
-
-def _ball(tree: KDTree, x: Array, radius: float) -> tuple[Indices, Array]:
-    """Return the samples of the tree within a radius of x, and their distances.
-
-    The radius is widened a little, since the tree rounds distances in another way. A
-    few of the samples returned may therefore lie just beyond it.
-    """
-    found = tree.query_ball_point(x, radius * (1 + 1e-9), return_sorted=False)
-    near = np.array(found, dtype=np.intp)
-    return near, _distances(tree.data[near], x)
 
 
 def _separated(X: Array, rows: Indices, separation: float, most: int) -> Indices:
@@ -298,9 +288,7 @@ def _smallest_distance(tree: KDTree) -> float:
 
 
 def _largest_distance(X: Array, centers: Array, labels: Indices) -> float:
-    chunks = (
-        slice(start, start + CHUNK_ROWS) for start in range(0, len(X), CHUNK_ROWS)
-    )
     return max(
-        float(_distances(X[chunk], centers[labels[chunk]]).max()) for chunk in chunks
+        float(_distances(X[rows], centers[labels[rows]]).max())
+        for rows in gen_batches(len(X), CHUNK_ROWS)
     )

@@ -50,13 +50,13 @@ class SeparatedCenterSelector(
     """Select samples that keep a minimal distance from each other as centres.
 
     A kernel estimate is a sum of kernel sections k(., c), one for each centre c. Its
-    error falls with the fill distance of the centres, the largest distance of a sample
-    from the nearest centre: the centres have to cover the motion. The smallest
-    eigenvalue of the Gram matrix falls with the separation of the centres, the smallest
-    distance between two of them: they have to lie apart. The selector goes through the
+    error falls with the fill distance, the largest distance of a sample from its
+    nearest centre, so the centres have to cover the motion. The smallest eigenvalue of
+    the Gram matrix falls with the separation distance, half the smallest distance
+    between two centres, so the centres have to lie apart. The selector goes through the
     samples and selects each one that is farther than `separation` from all centres
     before. Any two centres are then farther than `separation` apart, and no sample is
-    farther than `separation` from a centre.
+    farther than `separation` from its nearest centre.
 
     Parameters
     ----------

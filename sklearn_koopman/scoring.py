@@ -183,7 +183,7 @@ def make_valid_time_scorer(
 class ForecastScorer(ABC):
     """Base class of scorers that compare forecasts with what followed.
 
-    Parameters
+    Attributes
     ----------
     n_steps : int
         The number of steps that are forecast.
@@ -285,7 +285,7 @@ class ForecastScorer(ABC):
 class HorizonErrorScorer(ForecastScorer):
     """Scorer of the error over a horizon; see :func:`make_forecast_scorer`.
 
-    Parameters
+    Attributes
     ----------
     n_steps : int
         The horizon, in steps.
@@ -323,7 +323,7 @@ class HorizonErrorScorer(ForecastScorer):
 class ValidTimeScorer(ForecastScorer):
     """Scorer that counts valid steps; see :func:`make_valid_time_scorer`.
 
-    Parameters
+    Attributes
     ----------
     n_steps : int
         The largest number of steps that is counted.

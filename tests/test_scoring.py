@@ -21,6 +21,7 @@ from sklearn_koopman import (
     trajectory_pairs,
 )
 from sklearn_koopman.datasets import make_pendulum
+from sklearn_koopman.scoring import ForecastScorer, HorizonErrorScorer, ValidTimeScorer
 
 LENGTHS = [14, 40, 25, 31, 18, 22]
 PARTS = [(0, 700), (700, 801)]  # first start, number of starts
@@ -310,10 +311,13 @@ def test_divergence_scores_what_was_asked_for():
 
 
 def test_scorers_can_be_pickled_compared_and_read():
-    for scorer in (
-        make_forecast_scorer(5, error_score=-9.0),
-        make_valid_time_scorer(3, 0.1),
+    for scorer, kind in (
+        (make_forecast_scorer(5, error_score=-9.0), HorizonErrorScorer),
+        (make_valid_time_scorer(3, 0.1), ValidTimeScorer),
     ):
+        assert type(scorer) is kind
+        assert isinstance(scorer, ForecastScorer)
+        assert eval(repr(scorer)) == scorer
         assert pickle.loads(pickle.dumps(scorer)) == scorer
         assert clone(scorer, safe=False) == scorer
     assert repr(make_valid_time_scorer(3, 0.1)) == (
