@@ -23,11 +23,10 @@ from sklearn_koopman._selection import nearest_centers, select_centers
 from sklearn_koopman._utils._rows import distinct_rows
 from sklearn_koopman._utils._typing import Array, Indices
 from sklearn_koopman._utils._validation import (
-    check_choice,
     check_distances,
     check_integer,
     check_magnitude,
-    check_number,
+    check_parameters,
 )
 
 __all__ = ["SeparatedCenterSelector"]
@@ -231,11 +230,9 @@ class SeparatedCenterSelector(
             )
         else:
             X = validate_data(self, given, reset=False, dtype=np.float64, order="C")
-        check_number(self.separation, "separation")
+        check_parameters(self, non_negative=["separation"], order=ORDERS)
         if self.max_centers is not None:
             check_integer(self.max_centers, "max_centers", 1)
-        if not (isinstance(self.order, str) and self.order in ORDERS):
-            check_choice(self.order, "order", ORDERS)
         known = fitted.get("cluster_centers_", np.empty((0, X.shape[1])))
         rows, labels, separation, fill, trees = select_centers(
             X,

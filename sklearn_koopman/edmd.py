@@ -2,38 +2,47 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator
-from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
-from sklearn.utils import check_array, check_X_y, gen_batches
+from sklearn.utils import check_array, check_X_y
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman._dynamics import _operator, _successors
-from sklearn_koopman._linalg import _direct
+from sklearn_koopman._dynamics._forecast import apply_powers, relift_states, sum_modes
+from sklearn_koopman._dynamics._operator import (
+    block_diagonal,
+    fit_operator,
+    interpolate_operator,
+)
+from sklearn_koopman._dynamics._spectrum import decompose, pack_weights, unpack
+from sklearn_koopman._dynamics._successors import check_successors, find_successors
+from sklearn_koopman._linalg._fit import (
+    Fit,
+    negligible_tolerance,
+)
+from sklearn_koopman._linalg._systems import SOLVERS, DirectSystem, restore_system
+from sklearn_koopman._matrices._polynomial import DEGREES
+from sklearn_koopman._matrices._sections import KernelExpansion, KernelSections
 from sklearn_koopman._utils._rows import distinct_rows, group_means
-from sklearn_koopman._utils._typing import Array, Complex
+from sklearn_koopman._utils._typing import Array, Complex, Indices, Mask
 from sklearn_koopman._utils._validation import (
     check_flag,
     check_integer,
     check_magnitude,
     check_number,
+    check_parameters,
 )
-from sklearn_koopman.centers import SeparatedCenterSelector
-from sklearn_koopman.regression import KoopmanKernelRegressor
+from sklearn_koopman._utils._warnings import warn
+from sklearn_koopman.centers import SeparatedCenterSelector, choose_centers
+from sklearn_koopman.kernels import as_kernel
 
 __all__ = ["KernelEDMD"]
 
-
+METHODS = ("interpolation", "least_squares")
 # Modes are summed in the place of powers only if the reciprocal condition number of the
 # eigenvectors is at least this, so that both agree to about 1e-9.
-WELL_CONDITIONED = 1e-7
-# What happens where the Gram matrix is not positive definite.
-SOLVERS = ("auto", "pivoted_cholesky", "cholesky")
+MIN_RCOND_OF_EIGENVECTORS = 1e-7
 # A forecast this many times larger than all outputs of the training data has diverged.
 DIVERGED = 1e3
 
@@ -295,41 +304,21 @@ default=None
             If dependent centres were left out, and that may matter.
         """
         given = X
-        if y is None:
-            X = check_array(X, dtype=np.float64, estimator=self)
-        else:
-            X, y = check_X_y(
-                X,
-                y,
-                multi_output=True,
-                y_numeric=True,
-                dtype=np.float64,
-                estimator=self,
-            )
-            y = np.asarray(y, dtype=np.float64)
-        if isinstance(self.centers, str):
-            raise ValueError(
-                f"centers must be None, an array or a selector, got {self.centers!r}; "
-                "the operator needs the states themselves, not distances."
-            )
-        if not isinstance(self.solver, str) or self.solver not in SOLVERS:
-            raise ValueError(
-                f"solver must be one of {', '.join(map(repr, SOLVERS))}, got "
-                f"{self.solver!r}."
-            )
-        if self.n_modes is not None:
-            check_integer(self.n_modes, "n_modes", 0)
-        consecutive = X_next is None and sample_index is None
+        X, y = self._check_data(X, y)
+        self._check_parameters()
         if X_next is not None:
-            X_next = _successors.check_successors(given, X_next)
-        here, X_next = _successors.find_successors(X, X_next, sample_index)
+            X_next = check_successors(given, X_next)
+        consecutive = X_next is None and sample_index is None
+        here, X_next = find_successors(X, X_next, sample_index)
         outputs = X_next if y is None else y.reshape(len(y), -1)
-        check_magnitude(outputs, smallest=0.0, name="y")
+        if y is not None:
+            check_magnitude(outputs, smallest=0.0, name="y")
+        n_outputs = outputs.shape[1]
         targets = X_next if y is None else np.hstack([outputs[here], X_next])
         # Outputs of states without a successor: least squares has a use for them.
         more = y is not None and self.method == "least_squares" and len(here) < len(X)
         try:
-            regressor, matrix, coordinates, counted = self._estimate(
+            found = self._estimate(
                 X[here], X_next, targets, every_row=self.centers is None and not more
             )
         except ValueError as error:
@@ -338,47 +327,68 @@ default=None
             raise ValueError(
                 f"{error} (Rows are counted among the {len(here)} with a successor.)"
             ) from error
+        system, matrix, coordinates = found.system, found.matrix, found.coordinates
         if more:
-            coordinates[:, : outputs.shape[1]] = _operator.regressed(
-                regressor._native_basis(),
-                X,
-                outputs.__getitem__,
-                outputs.shape[1],
-                self.alpha,
+            coordinates[:, :n_outputs] = system.fit_coordinates(
+                X, outputs, self.alpha, self.n_jobs
             )
-        analysis = None
+        spectrum = None
         if self.n_modes != 0:
-            analysis = _operator.analyse(
-                regressor._native_basis(),
+            spectrum = decompose(
+                system,
                 matrix,
                 coordinates,
                 X[here],
                 X_next,
-                counted,
+                found.counted,
                 self.alpha,
                 self.n_modes,
             )
-
         # Attributes are set last: a fit that fails leaves the estimator as it was.
         validate_data(self, given, skip_check_array=True)
-        self.regressor_ = regressor
-        self.kernel_ = regressor.kernel_
-        self.centers_ = regressor.centers_
-        self.center_indices_ = regressor.center_indices_
-        if self.center_indices_ is not None:
-            self.center_indices_ = here[self.center_indices_]
-        self.rcond_ = regressor.rcond_
+        self.kernel_ = system.sections.kernel
+        self.centers_ = system.sections.centers
+        self.center_indices_ = None if found.rows is None else here[found.rows]
+        self.rcond_ = system.rcond()
         self.rank_ = len(matrix)
         self._consecutive = consecutive
         self._output_shape = (X if y is None else y).shape[1:]
-        largest = np.abs(outputs if more else targets[:, : outputs.shape[1]]).max(
-            axis=0
-        )
+        degrees = max(len(system.kept) - system.trend_rank, 1)
+        signal_std = found.fit.seminorm / np.sqrt(degrees)
+        noise_std = found.fit.noise_std
+        if noise_std is None:
+            noise_std = signal_std * np.sqrt(self.alpha)
+        shape = self._output_shape
+        self.signal_std_ = signal_std[:n_outputs].reshape(shape)[()]
+        self.noise_std_ = noise_std[:n_outputs].reshape(shape)[()]
+        self._nugget = system.nugget
+        self._system = system
+        largest = np.abs(outputs if more else targets[:, :n_outputs]).max(axis=0)
         self._limit = DIVERGED * np.maximum(largest, 1e-6 * largest.max())
-        self._store(matrix, coordinates, analysis)
+        self.koopman_matrix_, self._start = matrix, coordinates[:, :n_outputs]
+        functions = system.expand(coordinates)
+        modes = np.empty((0, n_outputs), dtype=np.complex128)
+        self.eigenvalues_, self.residuals_ = modes[:, 0], np.empty(0)
+        self._weights, self._phi_dual_coef, self._phi_trend_coef = modes, None, None
+        if spectrum is not None:
+            lam, phi = spectrum.eigenvalues, spectrum.eigenfunctions
+            if len(lam) < len(matrix):
+                self.koopman_matrix_, self._start = block_diagonal(lam), None
+                functions = phi.combine(pack_weights(spectrum.weights, lam))
+            self.eigenvalues_, self.residuals_ = lam, spectrum.residuals
+            self._weights = spectrum.weights[:, :n_outputs]
+            self._phi_dual_coef = phi.dual_coef
+            self._phi_trend_coef = phi.trend_coef
+            self._rcond_of_eigenvectors = spectrum.rcond
+            # The weights expand the outputs one step on: eigenvalue times mode.
+            size = np.abs(lam)
+            zero = size <= len(matrix) * np.finfo(float).eps * size.max()
+            modes = self._weights / np.where(zero, np.inf, lam)[:, np.newaxis]
+        self.modes_ = modes.reshape(len(modes), *shape)
+        self._dual_coef, self._trend_coef = functions.dual_coef, functions.trend_coef
         return self
 
-    def predict(self, X: Any) -> Array:
+    def predict(self, X: Any, return_std: bool = False) -> Array | tuple[Array, Array]:
         """Predict the outputs one step after each state.
 
         Parameters
@@ -391,9 +401,28 @@ default=None
         y : ndarray of shape (n_samples,) or (n_samples, n_outputs)
             The estimate of G(f(x)): of the next states, if `fit` was given no `y`.
         """
-        check_is_fitted(self)
-        X = validate_data(self, X, reset=False, dtype=np.float64)
-        return self._predict(X).reshape(len(X), *self._output_shape)
+        X = self._validated(X)
+        y = self._predict(X).reshape(len(X), *self._output_shape)
+        if not return_std:
+            return y
+        P = self.power_function(X).reshape((-1,) + (1,) * len(self._output_shape))
+        return y, np.hypot(self.signal_std_ * P, self.noise_std_)
+
+    def power_function(self, X: Any) -> Array:
+        """Evaluate the power function, which bounds the error of interpolation.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            The states.
+
+        Returns
+        -------
+        power : ndarray of shape (n_samples,)
+            As :meth:`KoopmanKernelRegressor.power_function` gives it, in the unit of
+            the square root of the kernel.
+        """
+        return self._fitted_system().power(self._validated(X), self.n_jobs)
 
     def forecast(self, X: Any, n_steps: int, *, relift: bool = False) -> Array:
         """Forecast the outputs one to `n_steps` steps after each state.
@@ -430,32 +459,34 @@ default=None
         check_is_fitted(self)
         check_integer(n_steps, "n_steps", 1)
         check_flag(relift, "relift")
-        X = validate_data(self, X, reset=False, dtype=np.float64)
-        y = np.full((len(X), n_steps, len(self._limit)), np.nan)
+        X = self._validated(X)
+        n_outputs = len(self._limit)
+        y = np.full((len(X), n_steps, n_outputs), np.nan)
         y[:, 0] = self._predict(X)
         with np.errstate(over="ignore", invalid="ignore"):
             if n_steps == 1:
                 pass
             elif relift:
-                self._relift(X, y)
-            elif self._by_eigenvalues(len(X), n_steps):
-                self._sum_modes(X, y)
+                relift_states(X, y, self._expansion(self._dual_coef, self._trend_coef))
+            elif self._start is None or self._modes_are_cheaper(len(X), n_steps):
+                phi = self._expansion(self._phi_dual_coef, self._phi_trend_coef)
+                sum_modes(X, y, phi, self.eigenvalues_, self._weights)
             else:
-                self._apply_powers(X, y)
+                expand = self._fitted_system().expand
+                apply_powers(X, y, self.koopman_matrix_, self._start, expand)
             y[~np.isfinite(y)] = np.nan
             # A start far outside is no divergence, if the forecast comes back.
             limit = np.where(self._limit > 0, self._limit, np.inf)
             fine = np.abs(y) <= np.maximum(limit, np.abs(y[:, :1]))
         diverged = ~fine.all(axis=2)
         if diverged.any():
-            warnings.warn(
+            warn(
                 f"{diverged.any(axis=1).sum()} of {len(X)} forecasts diverge, the "
                 f"first at step {diverged.any(axis=0).argmax() + 1}: they exceed the "
                 f"training data {DIVERGED:g} times. Forecast fewer steps, set "
                 f"relift={not relift}, or fit with method='least_squares', alpha > 0 "
                 "or fewer n_modes.",
                 RuntimeWarning,
-                stacklevel=2,
             )
         return y.reshape(len(X), n_steps, *self._output_shape)
 
@@ -479,11 +510,10 @@ default=None
         ValueError
             If the model was fitted with ``n_modes=0``.
         """
-        check_is_fitted(self)
-        X = validate_data(self, X, reset=False, dtype=np.float64)
-        found = self._eigenbasis()
-        values = self._evaluate(X, found.dual, found.trend)
-        return _operator.unpack(values, found.eigenvalues)
+        X = self._validated(X)
+        self._check_has_spectrum()
+        phi = self._expansion(self._phi_dual_coef, self._phi_trend_coef)
+        return unpack(phi(X, self.n_jobs), self.eigenvalues_)
 
     def continuous_eigenvalues(self, dt: float) -> tuple[Array, Array]:
         """Turn the eigenvalues into growth rates and frequencies.
@@ -516,137 +546,98 @@ default=None
         return growth_rates, np.angle(self.eigenvalues_) / (2 * np.pi * dt)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out the eigenfunctions where they follow from the whole operator."""
+        """Leave out the matrices of the system, which follow from the rest."""
         state = dict(super().__getstate__())
-        if state.get("_start") is not None:
-            state.pop("_eigenfunctions", None)
-            state.pop("_weights", None)
-        elif "_start" in state:
-            state.pop("koopman_matrix_")
+        state.pop("_system", None)
         return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the matrix of a reduced model, which its eigenvalues tell."""
-        super().__setstate__(state)
-        if state.get("_start", 0) is None:
-            self.koopman_matrix_ = _operator.block_diagonal(state["eigenvalues_"])
 
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
         tags.target_tags.required = False
         return tags
 
+    def _check_data(self, X: Any, y: Any) -> tuple[Array, Array | None]:
+        if y is None:
+            return check_array(X, dtype=np.float64, estimator=self), None
+        X, y = check_X_y(
+            X, y, multi_output=True, y_numeric=True, dtype=np.float64, estimator=self
+        )
+        return X, np.asarray(y, dtype=np.float64)
+
+    def _check_parameters(self) -> None:
+        if isinstance(self.centers, str):
+            raise ValueError(
+                f"centers must be None, an array or a selector, got {self.centers!r}; "
+                "the operator needs the states themselves, not distances."
+            )
+        check_parameters(
+            self,
+            non_negative=("alpha",),
+            method=METHODS,
+            trend=DEGREES,
+            solver=SOLVERS,
+        )
+        if self.n_modes is not None:
+            check_integer(self.n_modes, "n_modes", 0)
+
     def _estimate(
         self, X: Array, X_next: Array, targets: Array, *, every_row: bool
-    ) -> tuple[KoopmanKernelRegressor, Array, Array, NDArray[np.bool_]]:
-        """Estimate the operator and the targets one step ahead from pairs.
-
-        Returns
-        -------
-        regressor : KoopmanKernelRegressor
-            The estimate of the targets, whose basis the following refers to.
-        matrix : ndarray of shape (dimension, dimension)
-            The operator.
-        coordinates : ndarray of shape (dimension, n_targets)
-            Those of the targets.
-        counted : ndarray of shape (n_pairs,), bool
-            The pairs that tell how good eigenfunctions are.
-        """
-        centers = self.centers
-        if centers is None and not every_row:
-            centers = SeparatedCenterSelector(0.0)
-        regressor = KoopmanKernelRegressor(
-            self.kernel,
-            beta=self.beta,
-            centers=centers,
-            method=self.method,
-            alpha=self.alpha,
-            trend=self.trend,
-            # The operator is a dense matrix, and needs a dense factor.
-            solver="pivoted_cholesky" if self.solver == "auto" else self.solver,
-            n_jobs=self.n_jobs,
-        )
+    ) -> _Operator:
+        """Estimate the operator, and the targets one step ahead, from pairs."""
+        kernel = as_kernel(self.kernel, self.beta, X.shape[1])
+        degree = DEGREES[self.trend]
+        # The operator is a dense matrix, and needs a dense factor.
+        solver = "pivoted_cholesky" if self.solver == "auto" else self.solver
         interpolates = every_row or self.method == "interpolation"
-        if interpolates:
-            _, group, _ = distinct_rows(X)
-            mean = group_means(np.hstack([X_next, targets]), group)[group]
-            mean_next, mean_targets = np.split(mean, [X_next.shape[1]], axis=1)
-            if every_row:
-                # Where equal states have different successors, the map is random, and
-                # its operator takes the mean.
-                targets = mean_targets
-        regressor.fit(X, targets)
-        basis = regressor._native_basis()
         if not interpolates:
-            matrix, coordinates = _operator.regressed_operator(
-                basis, X, X_next, targets, self.alpha
+            centers = (
+                SeparatedCenterSelector(0) if self.centers is None else self.centers
             )
-            # With every state a centre, a fit tells no more than an interpolant.
+            points, rows = choose_centers(centers, X, targets, among_rows=False)
+            extent = np.stack([X.min(axis=0), X.max(axis=0)])
+            nugget = np.zeros(len(points))
+            sections = KernelSections(kernel, points)
+            system = DirectSystem(sections, nugget, degree, solver, extent)
+            matrix, coordinates, fit = fit_operator(
+                system, X, X_next, targets, self.alpha, self.n_jobs
+            )
+            if rows is not None:
+                rows = rows[system.kept]
+            # With every state a centre, a fit has no other rows than an interpolant.
             counted = np.full(len(X), self.centers is not None)
-            return regressor, matrix, coordinates, counted
-        rows = np.asarray(regressor.center_indices_)
+            return _Operator(system, fit, matrix, coordinates, rows, counted)
+        first, group, counts = distinct_rows(X)
+        means = group_means(np.hstack([X_next, targets]), group)[group]
+        mean_next, mean_targets = np.split(means, [X_next.shape[1]], axis=1)
+        negligible = 0.0
+        if every_row:
+            # Where equal states have different successors, the map is random, and its
+            # operator takes the mean.
+            rows, targets, nugget = first, mean_targets, self.alpha / counts
+            if self.method == "least_squares":
+                negligible = negligible_tolerance(len(X), self.alpha)
+        else:
+            _, rows = choose_centers(self.centers, X, targets, among_rows=True)
+            nugget = np.full(len(rows), float(self.alpha))
+        system = DirectSystem(KernelSections(kernel, X[rows]), nugget, degree, solver)
+        fit = system.interpolate(targets[rows], negligible)
+        rows = rows[system.kept]
         lots = group if every_row else np.arange(len(X))
-        matrix, coordinates = _operator.interpolated_operator(
-            basis, X_next, targets, rows, lots
-        )
-        # At a centre nothing is left to see, but where equal states have different
+        matrix, coordinates = interpolate_operator(system, X_next, targets, rows, lots)
+        # At a centre there is no residual, unless equal states have different
         # successors.
         random = np.abs(X_next - mean_next).max(axis=1) > 1e-9 * np.abs(X_next).max()
         counted = np.isin(group, group[random]) | ~np.isin(group, group[rows])
-        return regressor, matrix, coordinates, counted
+        return _Operator(system, fit, matrix, coordinates, rows, counted)
 
-    def _store(
-        self,
-        matrix: Array,
-        coordinates: Array,
-        analysis: _operator.Analysis | None,
-    ) -> None:
-        """Store the operator, or what `n_modes` leaves of it."""
-        for stale in ("_eigenfunctions", "_weights", "_factors", "_rcond_eigenvectors"):
-            self.__dict__.pop(stale, None)
-        n_outputs = len(self._limit)
-        self.koopman_matrix_ = matrix
-        self._start: Array | None = coordinates
-        self._dual, self._trend = self.regressor_._native_basis().expand(coordinates)
-        if analysis is None:
-            self.eigenvalues_ = np.empty(0, dtype=np.complex128)
-            self.residuals_ = np.empty(0)
-            self.modes_ = np.empty((0, *self._output_shape), dtype=np.complex128)
-            return
-        found = analysis.eigenfunctions
-        lam = found.eigenvalues
-        if len(lam) < len(matrix):
-            packed = _operator.pack_weights(analysis.weights, lam)
-            self.koopman_matrix_ = _operator.block_diagonal(lam)
-            self._start = None
-            self._dual, self._trend = found.dual @ packed, found.trend @ packed
-        self._eigenfunctions = found
-        self._weights = analysis.weights[:, :n_outputs]
-        self._factors = analysis.factors
-        self._rcond_eigenvectors = analysis.rcond
-        self.eigenvalues_ = lam
-        self.residuals_ = analysis.residuals
-        # The weights expand the outputs one step on, those of eigenvalue times mode.
-        zero = np.abs(lam) <= len(matrix) * np.finfo(float).eps * np.abs(lam).max()
-        modes = self._weights / np.where(zero, np.inf, lam)[:, np.newaxis]
-        self.modes_ = modes.reshape(len(lam), *self._output_shape)
-
-    def _eigenbasis(self) -> _operator.Eigenfunctions:
-        """Return the eigenfunctions, found anew if they were not pickled."""
-        self._check_has_spectrum()
-        if not hasattr(self, "_eigenfunctions"):
-            assert self._start is not None
-            basis = self.regressor_._native_basis()
-            eigenvalues, vectors = _operator.spectrum(self.koopman_matrix_)
-            order = _operator.match(self.eigenvalues_, eigenvalues)
-            found = _operator.Eigenfunctions(eigenvalues, *basis.expand(vectors))
-            # Another machine may find other vectors for a multiple eigenvalue, so that
-            # weights have to be found along with them.
-            weights, _ = _operator.expansion(vectors, eigenvalues, self._start)
-            weights = weights[:, : len(self._limit)][order]
-            self._weights = weights / self._factors[:, np.newaxis]
-            self._eigenfunctions = found.take(order).scale(self._factors)
-        return self._eigenfunctions
+    def _modes_are_cheaper(self, n_samples: int, n_steps: int) -> bool:
+        """Tell whether summing modes is cheaper than powers, and accurate."""
+        if len(self.eigenvalues_) == 0:
+            return False
+        D, columns = len(self.koopman_matrix_), n_steps * len(self._limit)
+        accurate = self._rcond_of_eigenvectors >= MIN_RCOND_OF_EIGENVECTORS
+        by_modes = n_samples * (D + columns)
+        return accurate and by_modes < (D + D / 2 + n_samples) * columns
 
     def _check_has_spectrum(self) -> None:
         if len(self.eigenvalues_) == 0:
@@ -655,67 +646,38 @@ default=None
                 "as many as you need."
             )
 
-    def _by_eigenvalues(self, n_samples: int, n_steps: int) -> bool:
-        """Tell whether to sum modes: if that is all there is, or cheap and accurate."""
-        if self._start is None:
-            return True
-        if len(self.eigenvalues_) == 0 or self._rcond_eigenvectors < WELL_CONDITIONED:
-            return False
-        D, columns = len(self.koopman_matrix_), n_steps * len(self._limit)
-        by_eigenvalues = n_samples * (D + columns)
-        if not hasattr(self, "_eigenfunctions"):  # after loading
-            by_eigenvalues += 25 * D**2
-        return by_eigenvalues < (D + D / 2 + n_samples) * columns
-
-    def _sum_modes(self, X: Array, y: Array) -> None:
-        found = self._eigenbasis()
-        lam = found.eigenvalues
-        for rows in gen_batches(len(X), max(_operator.BLOCK // len(lam), 1)):
-            phi = self._evaluate(X[rows], found.dual, found.trend)
-            for steps in self._later_steps(y[rows]):
-                powers = lam[:, np.newaxis] ** np.arange(steps.start, steps.stop)
-                weights = powers[:, :, np.newaxis] * self._weights[:, np.newaxis]
-                packed = _operator.pack_weights(weights.reshape(len(lam), -1), lam)
-                y[rows, steps] = (phi @ packed).reshape(len(phi), -1, y.shape[2])
-
-    def _apply_powers(self, X: Array, y: Array) -> None:
-        assert self._start is not None
-        basis = self.regressor_._native_basis()
-        start = self._start[:, : y.shape[2]]
-        images = _operator.powers(self.koopman_matrix_, start)
-        for steps in self._later_steps(y):
-            coordinates = list(islice(images, steps.stop - steps.start))
-            if not coordinates:
-                return
-            values = self._evaluate(X, *basis.expand(np.hstack(coordinates)))
-            reached = slice(steps.start, steps.start + len(coordinates))
-            y[:, reached] = values.reshape(len(X), -1, y.shape[2])
-
-    def _relift(self, X: Array, y: Array) -> None:
-        n_features = X.shape[1]
-        alive = np.arange(len(X))
-        for step in range(y.shape[1]):
-            if step:
-                small = np.abs(X).max(axis=1) < 1e75  # squares are numbers
-                alive, X = alive[small], X[small]
-            if len(alive) == 0:
-                return
-            values = self._evaluate(X, self._dual, self._trend)
-            y[alive, step] = values[:, : y.shape[2]]
-            X = values[:, -n_features:]
-
-    def _later_steps(self, y: Array) -> Iterator[slice]:
-        """Divide the steps after the first so that a block stays in memory."""
-        n_rows = max(len(y), len(self._dual))
-        size = max(_operator.BLOCK // (n_rows * y.shape[2]), 1)
-        for start in range(1, y.shape[1], size):
-            yield slice(start, min(start + size, y.shape[1]))
+    def _validated(self, X: Any) -> Array:
+        check_is_fitted(self)
+        return validate_data(self, X, reset=False, dtype=np.float64)
 
     def _predict(self, X: Array) -> Array:
-        return self._evaluate(X, self._dual, self._trend)[:, : len(self._limit)]
+        outputs = slice(len(self._limit))
+        functions = self._expansion(self._dual_coef, self._trend_coef)
+        return functions.take(outputs)(X, self.n_jobs)
 
-    def _evaluate(self, X: Array, dual: Array, trend: Array) -> Array:
-        regressor = self.regressor_
-        return _direct.evaluate(
-            regressor._sections, regressor._tail, X, dual, trend, self.n_jobs
-        )
+    def _expansion(self, dual_coef: Array, trend_coef: Array) -> KernelExpansion:
+        origin = np.zeros(0)
+        if len(trend_coef) > 1:
+            origin = self.centers_.mean(axis=0)
+        sections = KernelSections(self.kernel_, self.centers_)
+        return KernelExpansion(sections, dual_coef, origin, trend_coef)
+
+    def _fitted_system(self) -> DirectSystem:
+        if not hasattr(self, "_system"):
+            degree = None
+            if len(self._trend_coef):
+                degree = min(len(self._trend_coef) - 1, 1)
+            sections = KernelSections(self.kernel_, self.centers_)
+            self._system = restore_system(sections, self._nugget, degree, "cholesky")
+        return self._system
+
+
+class _Operator(NamedTuple):
+    """An operator on the span of kernel sections, and how it was found."""
+
+    system: DirectSystem
+    fit: Fit  # of the targets
+    matrix: Array  # (M, M)
+    coordinates: Array  # (M, n_targets)
+    rows: Indices | None  # which rows the centres are
+    counted: Mask  # (n_pairs,): pairs that show how good eigenfunctions are

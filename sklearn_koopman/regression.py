@@ -7,39 +7,53 @@ from typing import Any
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_X_y
+from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman._linalg._cholesky import NativeBasis
-from sklearn_koopman._linalg._direct import Solution, evaluate, residual_norms
-from sklearn_koopman._linalg._incremental import GrowingInterpolant
-from sklearn_koopman._linalg._iterative import ImplicitBasis
-from sklearn_koopman._linalg._select import (
-    REMEDY,
-    interpolated,
+from sklearn_koopman._linalg._fit import (
+    estimate_noise,
     negligible_tolerance,
-    regressed,
+)
+from sklearn_koopman._linalg._systems import (
+    SOLVERS,
+    DirectSystem,
+    System,
+    make_system,
+    restore_system,
 )
 from sklearn_koopman._matrices._polynomial import DEGREES
 from sklearn_koopman._matrices._sections import (
-    DistanceSections,
+    KernelExpansion,
     KernelSections,
+    PrecomputedSections,
     Sections,
 )
-from sklearn_koopman._regression import _error_bound
-from sklearn_koopman._regression._partial_fit import GrowthMixin
+from sklearn_koopman._regression._error_bound import (
+    check_norms,
+    error_bound,
+    left_out_reach,
+    native_norm,
+)
+from sklearn_koopman._regression._estimate import Estimate, keep_averages
+from sklearn_koopman._regression._partial_fit import (
+    add_centers,
+    add_rows,
+    check_can_grow,
+    start_least_squares,
+)
 from sklearn_koopman._utils._rows import AveragedOutputs, average_equal_rows
 from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman._utils._validation import check_distances, check_number
+from sklearn_koopman._utils._validation import check_distances, check_parameters
 from sklearn_koopman.centers import choose_centers, rows_at_distance_zero
 from sklearn_koopman.kernels import as_kernel
 from sklearn_koopman.solvers import ConjugateGradient, check_solver
 
 __all__ = ["KoopmanKernelRegressor"]
 
+METHODS = ("interpolation", "least_squares")
 
-class KoopmanKernelRegressor(
-    GrowthMixin, MultiOutputMixin, RegressorMixin, BaseEstimator
-):
+
+class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     """Kernel estimate of the Koopman operator acting on measured outputs.
 
     States follow an unknown map, x_{k+1} = f(x_k), on an unknown manifold; outputs
@@ -220,7 +234,7 @@ default="auto"
         method: str = "interpolation",
         alpha: float = 0.0,
         trend: str | None = None,
-        solver: str = "auto",
+        solver: str | ConjugateGradient = "auto",
         n_jobs: int | None = None,
     ) -> None:
         self.kernel = kernel
@@ -268,73 +282,113 @@ default="auto"
         )
         y = np.asarray(y, dtype=np.float64)
         self._check_parameters()
-        n_features = None if self._precomputed else X.shape[1]
-        kernel = as_kernel(self.kernel, self.beta, n_features)
+        sections, rows, averages = self._resolve_centers(X, y)
         outputs, degree = y.reshape(len(y), -1), DEGREES[self.trend]
-        # Least squares over the sections of all rows is interpolation with alpha.
-        interpolates = self.method == "interpolation" or self.centers is None
-        sections: Sections
-        rows: Indices | None
-        values = AveragedOutputs(outputs, np.ones(len(X)), np.zeros(outputs.shape[1]))
-        if self._precomputed:
-            if not _is_isotropic(kernel):
-                raise ValueError(
-                    f"kernel={kernel!r} does not depend on distances alone, which "
-                    "centers='precomputed' needs; pass the states and a selector."
+        if averages is not None:
+            nugget = self.alpha / averages.counts
+            system = make_system(
+                sections, nugget, degree, self.solver, n_jobs=self.n_jobs
+            )
+            fit = system.interpolate(averages.means, self._negligible(len(X)))
+            if self.method == "least_squares" and self.alpha == 0:
+                noise_std = estimate_noise(
+                    fit.expansion, X, outputs, fit.effective_dof, self.n_jobs
                 )
-            rows = rows_at_distance_zero(X)
-            points = X[rows]
-            sections = DistanceSections(kernel, np.arange(X.shape[1]))
-        elif self.centers is None:
-            rows, values = self._merged(X, values, np.arange(len(X)))
-            points = X[rows]
-            sections = KernelSections(kernel, points)
+                fit = fit._replace(noise_std=noise_std)
+            if len(system.kept) < len(nugget):
+                averages = keep_averages(averages, fit, system.kept, sections.points)
         else:
-            points, rows = choose_centers(
-                self.centers, X, y, among_rows=self.method == "interpolation"
+            nugget = np.zeros(sections.size)
+            extent = np.stack([X.min(axis=0), X.max(axis=0)])
+            system = make_system(
+                sections, nugget, degree, self.solver, extent=extent, n_jobs=self.n_jobs
             )
-            sections = KernelSections(kernel, points)
-        if interpolates:
-            assert rows is not None
-            if self.centers is not None:
-                values = values.take(rows)
-            nugget = self.alpha / values.counts
-            estimate = interpolated(
-                sections,
-                points,
-                nugget,
-                values.means,
-                degree,
-                self.solver,
-                self.n_jobs,
-                self._negligible(len(X)),
-            )
-        else:
-            nugget = np.zeros(len(points))
-            estimate = regressed(
-                sections,
-                points,
-                X,
-                outputs,
-                self.alpha,
-                degree,
-                self.solver,
-                self.n_jobs,
-            )
-        solution, residual = estimate.solution, None
-        if self.method == "least_squares" and not nugget.any():
-            residual = residual_norms(solution, X, outputs, self.n_jobs)
+            fit = system.least_squares(X, outputs, self.alpha, self.n_jobs)
         # Attributes are set last: a fit that fails leaves the estimator as it was.
         validate_data(self, given, y, skip_check_array=True)
-        self._forget()
-        self._store(solution, rows, nugget, y.shape[1:], len(X), residual)
-        self.solver_ = estimate.solver
-        if estimate.converged is not None:
-            self.n_iter_ = estimate.converged.n_iter
-            self.solver_residual_ = estimate.converged.residual
-        self._interpolates = interpolates
-        if interpolates and isinstance(sections, KernelSections):
-            self._values = self._kept_values(values, solution, points)
+        kept = None if rows is None else rows[system.kept]
+        estimate = Estimate(system, fit, kept, averages, len(X))
+        self._store(estimate, y.shape[1:])
+        return self
+
+    @available_if(check_can_grow)
+    def partial_fit(self, X: Any, y: Any) -> KoopmanKernelRegressor:
+        """Learn from further rows, as if all had been given to one `fit`.
+
+        Interpolation adds the rows that become centres, k of them, to the Cholesky
+        factor, in O(k M^2) operations: with ``centers=None`` all that are new, with a
+        :class:`SeparatedCenterSelector` those farther than its separation from all
+        centres so far. Least squares at given centres adds the rows to its normal
+        equations, so that memory does not grow with their number.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            The states.
+        y : array-like of shape (n_samples,) or (n_samples, n_outputs)
+            The outputs one step after each row.
+
+        Returns
+        -------
+        self : object
+            The estimate from all rows so far.
+
+        Raises
+        ------
+        ValueError
+            As in `fit`; for outputs of another shape than before; for parameters that
+            were changed since. Nothing is learned from the batch then.
+        AttributeError
+            For centres and solvers that cannot grow, such as conjugate gradients; for
+            least squares at chosen centres after `fit`, or in a copy or after loading
+            from a pickle, none of which keeps its sums.
+
+        Notes
+        -----
+        Least squares with a selector keeps the rows, and starts anew when a batch
+        brings new centres. To stream through recordings that are larger than memory,
+        find the centres first, by `SeparatedCenterSelector.partial_fit`, and give them
+        as an array.
+
+        After centres have been added, `rcond_` is an upper bound by the pivots of the
+        factor. Where they come close to being dependent, all are factored anew, and
+        left out as in `fit`; which ones then depends on the order, and the estimate is
+        that of `fit` only as far as such matrices tell. `noise_` of least squares is a
+        difference of sums, and not told where it is below about 1e-8 of the outputs.
+        """
+        started = hasattr(self, "dual_coef_")
+        if not started and self._interpolates_centers:
+            return self.fit(X, y)
+        given = X
+        if started:
+            validate_data(self, given, reset=False, skip_check_array=True)
+        X, y = check_X_y(
+            X, y, multi_output=True, y_numeric=True, dtype=np.float64, estimator=self
+        )
+        y = np.asarray(y, dtype=np.float64)
+        self._check_parameters()
+        if started and y.shape[1:] != self.dual_coef_.shape[1:]:
+            raise ValueError(
+                f"y has shape {y.shape}, but predictions for {len(y)} rows so far "
+                f"have {(len(y), *self.dual_coef_.shape[1:])}; give the same outputs "
+                "in every batch."
+            )
+        outputs, growth = y.reshape(len(y), -1), getattr(self, "_growth", None)
+        if self._interpolates_centers:
+            system, averages = self._direct_system(), self._averages()
+            rows, n_rows = self.center_indices_, self._n_rows
+            estimate = add_centers(system, averages, rows, n_rows, self, X, outputs)
+        elif growth is not None:
+            estimate = add_rows(growth, self.alpha, X, outputs)
+        else:
+            sections, _, _ = self._resolve_centers(X, y)
+            growth, estimate = start_least_squares(sections, self, X, outputs)
+        # Attributes are set last: a batch that fails is not counted.
+        if not started:
+            validate_data(self, given, y, skip_check_array=True)
+        self._store(estimate, y.shape[1:])
+        if growth is not None:
+            self._growth = growth
         return self
 
     def predict(self, X: Any, return_std: bool = False) -> Array | tuple[Array, Array]:
@@ -354,8 +408,8 @@ default="auto"
             The estimate of G(f(x)).
         y_std : ndarray of the shape of `y`
             Standard deviation of the outputs, ``sqrt((signal_std_ * P) ** 2 +
-            noise_std_ ** 2)`` with the power function P; only if `return_std`. This takes the
-            outputs for a sample of a Gaussian process with this kernel and
+            noise_std_ ** 2)`` with the power function P; only if `return_std`. This
+            takes the outputs for a sample of a Gaussian process with this kernel and
             independent noise. It is too wide where they are smoother than that, and
             too narrow on a trajectory that differs from those of the training data.
 
@@ -368,10 +422,11 @@ default="auto"
         """
         check_is_fitted(self)
         X = self._validated(X)
-        y = self._evaluate(X).reshape((len(X), *self.dual_coef_.shape[1:]))
+        shape = (len(X), *self.dual_coef_.shape[1:])
+        y = self._expansion()(X, self.n_jobs).reshape(shape)
         if not return_std:
             return y
-        P = self._fitted_basis().power(X, self.n_jobs)
+        P = self._fitted_system().power(X, self.n_jobs)
         P = P.reshape((-1,) + (1,) * (self.dual_coef_.ndim - 1))
         return y, np.hypot(self.signal_std_ * P, self.noise_std_)
 
@@ -405,7 +460,7 @@ default="auto"
             If the model was fitted to distances and loaded from a pickle.
         """
         check_is_fitted(self)
-        return self._fitted_basis().power(self._validated(X), self.n_jobs)
+        return self._fitted_system().power(self._validated(X), self.n_jobs)
 
     def error_bound(self, X: Any, norm: Any = None) -> Array:
         """Bound the error of the prediction at each state.
@@ -461,7 +516,7 @@ default="auto"
         another factorisation.
         """
         check_is_fitted(self)
-        if not self._interpolates:
+        if not hasattr(self, "_output_means"):
             raise ValueError(
                 "error_bound is that of interpolation; method='least_squares' at "
                 "chosen centres averages over rows that no function of the span meets, "
@@ -475,201 +530,235 @@ default="auto"
                 "instead, or fit with solver='cholesky'."
             )
         X = self._validated(X)
-        basis = self._native_basis()
-        norms = self._native_norms(norm)
-        diagonal = basis.sections.smooth_diagonal(X)
-        variance = _error_bound.variance(basis, X, diagonal, self.n_jobs)
-        if basis.tail is not None:
-            variance[basis.tail.beyond(X)] = np.inf
+        system = self._direct_system()
+        if norm is None:
+            norms = self._estimated_norms(system)
+        else:
+            norms = check_norms(norm, int(np.prod(self.dual_coef_.shape[1:])))
         if not hasattr(self, "_reach"):
-            points = getattr(self, "centers_", np.zeros((len(basis.lower), 1)))
-            self._reach = _error_bound.reach(basis, points)
-        _error_bound.warn_off_manifold(basis, variance, diagonal, self._reach)
-        P = np.sqrt(variance + _error_bound.ROUNDING * diagonal)
-        with np.errstate(invalid="ignore"):
-            bound = np.outer(P, norms)
-        bound[np.isinf(P)] = np.inf
+            self._reach = left_out_reach(system)
+        bound = error_bound(system, X, norms, self._reach, self.n_jobs)
         return bound.reshape((len(X), *self.dual_coef_.shape[1:]))
 
+    @property
+    def rcond_(self) -> float:
+        """Reciprocal condition number of the Gram matrix; see the class."""
+        if "_rcond" not in vars(self):
+            if not isinstance(getattr(self, "_system", None), DirectSystem):
+                raise AttributeError(
+                    "rcond_ takes a dense Cholesky factor: fit first, and not with "
+                    "conjugate gradients."
+                )
+            self._rcond = self._system.rcond()
+        return self._rcond
+
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out what is large, or long to compute, and follows from the rest."""
+        """Leave out the matrices, which follow from the rest; keep arrays once."""
+        if isinstance(getattr(self, "_system", None), DirectSystem):
+            _ = self.rcond_  # it would take the matrices
         state = dict(super().__getstate__())
-        for name in ("_basis", "_norm", "_reach", "_growth", "_batches", "_selector"):
+        for name in _NOT_PICKLED:
             state.pop(name, None)
+        given = state["centers"]
+        if isinstance(given, np.ndarray) and np.array_equal(
+            given, state.get("centers_")
+        ):
+            state["centers_"] = given
         return state
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore the state, with centres of its own."""
+        super().__setstate__(state)
+        if getattr(self, "centers_", None) is self.centers:
+            self.centers_ = self.centers.copy()
+
     @property
-    def _precomputed(self) -> bool:
+    def _is_precomputed(self) -> bool:
         return isinstance(self.centers, str) and self.centers == "precomputed"
 
+    @property
+    def _interpolates_centers(self) -> bool:
+        # Least squares over the sections of all rows is interpolation with alpha.
+        return self.method == "interpolation" or self.centers is None
+
     def _check_parameters(self) -> None:
-        check_number(self.alpha, "alpha")
-        choices_of: dict[str, tuple[str | None, ...]] = {
-            "method": ("interpolation", "least_squares"),
-            "trend": tuple(DEGREES),
-            "solver": ("auto", "pivoted_cholesky", "cholesky"),
-        }
-        if isinstance(self.solver, ConjugateGradient):
+        choices = {"method": METHODS, "trend": DEGREES, "solver": SOLVERS}
+        iterative = isinstance(self.solver, ConjugateGradient)
+        if iterative:
             check_solver(self.solver)
-            if self._precomputed:
+            del choices["solver"]
+        check_parameters(self, non_negative=("alpha",), **choices)
+        if not self._is_precomputed:
+            return
+        for name, value, asked in (
+            ("solver", "ConjugateGradient()", iterative),
+            ("trend", "'linear'", self.trend == "linear"),
+        ):
+            if asked:
                 raise ValueError(
-                    "solver=ConjugateGradient() needs the states, but "
-                    "centers='precomputed' gives distances only; pass the states and "
+                    f"{name}={value} needs the states, but centers='precomputed' gives "
+                    "distances only; pass the states and "
                     "centers=SeparatedCenterSelector()."
                 )
-            del choices_of["solver"]
-        for name, choices in choices_of.items():
-            value = getattr(self, name)
-            if not (value is None or isinstance(value, str)) or value not in choices:
-                raise ValueError(
-                    f"{name} must be one of {', '.join(map(repr, choices))}, "
-                    f"got {value!r}."
-                )
-        if self._precomputed and self.trend == "linear":
-            raise ValueError(
-                "trend='linear' needs the states, but centers='precomputed' gives "
-                "distances only; pass the states and centers=SeparatedCenterSelector()."
-            )
 
-    def _merged(
-        self, X: Array, values: AveragedOutputs, numbers: Indices
-    ) -> tuple[Indices, AveragedOutputs]:
-        exact = self.method == "interpolation" and self.alpha == 0
-        return average_equal_rows(X, values, exact, numbers)
+    def _resolve_centers(
+        self, X: Array, y: Array
+    ) -> tuple[Sections, Indices | None, AveragedOutputs | None]:
+        """Return the sections of the centres, their rows, and the outputs there.
+
+        The outputs are None where they are not interpolated.
+        """
+        n_features = None if self._is_precomputed else X.shape[1]
+        kernel = as_kernel(self.kernel, self.beta, n_features)
+        interpolates = self._interpolates_centers
+        outputs = y.reshape(len(y), -1)
+        once, none = np.ones(len(X)), np.zeros(outputs.shape[1])
+        sections: Sections
+        if self.centers is None:
+            averages = AveragedOutputs(outputs, once, none)
+            exact = self.method == "interpolation" and self.alpha == 0
+            rows, averages = average_equal_rows(X, averages, exact, np.arange(len(X)))
+            return KernelSections(kernel, X[rows]), rows, averages
+        if self._is_precomputed:
+            if not _is_isotropic(kernel):
+                raise ValueError(
+                    f"kernel={kernel!r} does not depend on distances alone, which "
+                    "centers='precomputed' needs; pass the states and a selector."
+                )
+            rows = rows_at_distance_zero(X)
+            sections = PrecomputedSections(kernel, np.arange(X.shape[1]), X[rows])
+        else:
+            points, rows = choose_centers(self.centers, X, y, among_rows=interpolates)
+            sections = KernelSections(kernel, points)
+        if not interpolates:
+            return sections, rows, None
+        return sections, rows, AveragedOutputs(outputs[rows], once[rows], none)
 
     def _negligible(self, n_rows: int) -> float:
         """Return which part of a section may be left out without a warning."""
         averages = self.method == "least_squares"
         return negligible_tolerance(n_rows, self.alpha) if averages else 0.0
 
-    def _forget(self) -> None:
-        """Remove what an earlier fit has left."""
-        for name in (
-            "_growth",
-            "_selector",
-            "_batches",
-            "_values",
-            "n_iter_",
-            "solver_residual_",
-        ):
-            self.__dict__.pop(name, None)
-
-    def _store(
-        self,
-        solution: Solution[Any],
-        rows: Indices | None,
-        nugget: Array,
-        shape: tuple[int, ...],
-        n_rows: int,
-        residual: Array | None,
-    ) -> None:
-        """Store an estimate for outputs of this shape, with the residual norms."""
-        basis, kept = solution.basis, solution.kept
+    def _store(self, estimate: Estimate, shape: tuple[int, ...]) -> None:
+        """Store an estimate for outputs of this shape."""
 
         def shaped(values: Array) -> Any:
             return values.reshape((*values.shape[:-1], *shape))[()]
 
-        for stale in ("centers_", "trend_coef_", "rcond_", "_norm", "_reach"):
+        for stale in _STALE:
             self.__dict__.pop(stale, None)
-        self.kernel_ = basis.sections.kernel
-        self.center_indices_ = None if rows is None else rows[kept]
-        self.dual_coef_ = shaped(solution.dual)
-        if not isinstance(basis, ImplicitBasis):
-            self.rcond_ = basis.rcond
-        self._sections = basis.sections
-        if isinstance(self._sections, KernelSections):
-            self.centers_ = self._sections.centers
-        self._nugget = nugget[kept]
-        self._tail = basis.tail
-        if basis.tail is not None:
-            self.trend_coef_ = shaped(solution.trend)
-        self._basis = basis
-        degrees = max(len(kept) - basis.Q.shape[1], 1)
-        amplitude = solution.seminorm / np.sqrt(degrees)
-        noise = amplitude * np.sqrt(self.alpha)
-        spare = n_rows - solution.freedom
-        if residual is not None and spare > 1e-6 * n_rows:
-            noise = residual / np.sqrt(spare)
-        self.signal_std_ = shaped(amplitude)
-        self.noise_std_ = shaped(noise)
-        self._n_seen = n_rows
-        self._settings = self._current_settings()
+        system, fit, rows, averages, n_rows = estimate
+        sections = system.sections
+        self.kernel_ = sections.kernel
+        self.solver_ = system.solver
+        self.center_indices_ = rows
+        if isinstance(sections, PrecomputedSections):
+            self._columns = sections.columns
+        else:
+            self.centers_ = sections.centers
+        self.dual_coef_ = shaped(fit.expansion.dual_coef)
+        if system.trend is not None:
+            self.trend_coef_ = shaped(fit.expansion.trend_coef)
+        if fit.n_iter is not None:
+            self.n_iter_, self.solver_residual_ = fit.n_iter, fit.residual
+        degrees = len(system.kept) - system.trend_rank
+        signal_std = fit.seminorm / np.sqrt(max(degrees, 1))
+        noise_std = fit.noise_std
+        if noise_std is None:
+            noise_std = signal_std * np.sqrt(self.alpha)
+        self.signal_std_, self.noise_std_ = shaped(signal_std), shaped(noise_std)
+        self._n_rows = n_rows
+        self._nugget = system.nugget
+        if averages is not None:
+            self._output_means, self._output_counts, self._output_scatter = averages
+        self._system = system
 
-    def _evaluate(self, X: Array) -> Array:
-        dual = self.dual_coef_.reshape(len(self.dual_coef_), -1)
-        trend = getattr(self, "trend_coef_", self.dual_coef_[:0])
-        trend = trend.reshape(len(trend), dual.shape[1])
-        return evaluate(self._sections, self._tail, X, dual, trend, self.n_jobs)
+    def _averages(self) -> AveragedOutputs:
+        return AveragedOutputs(
+            self._output_means, self._output_counts, self._output_scatter
+        )
+
+    def _sections(self) -> Sections:
+        if hasattr(self, "centers_"):
+            return KernelSections(self.kernel_, self.centers_)
+        return PrecomputedSections(self.kernel_, self._columns, np.empty((0, 0)))
+
+    def _expansion(self) -> KernelExpansion:
+        dual_coef = self.dual_coef_.reshape(len(self.dual_coef_), -1)
+        trend_coef = getattr(self, "trend_coef_", dual_coef[:0])
+        trend_coef = trend_coef.reshape(len(trend_coef), dual_coef.shape[1])
+        origin = np.zeros(0)
+        if len(trend_coef) > 1:
+            origin = self.centers_.mean(axis=0)
+        return KernelExpansion(self._sections(), dual_coef, origin, trend_coef)
 
     def _validated(self, X: Any) -> Array:
         X = validate_data(self, X, reset=False, dtype=np.float64)
-        if isinstance(self._sections, DistanceSections):
+        if not hasattr(self, "centers_"):
             check_distances(X)
         return X
 
-    def _native_norms(self, norm: Any) -> Array:
-        """Return the native norm of each output: as given, or estimated."""
-        n_outputs = int(np.prod(self.dual_coef_.shape[1:]))
-        if norm is not None:
-            return _error_bound.given_norms(norm, n_outputs)
-        if not hasattr(self, "_norm"):
-            basis = self._native_basis()
-            degrees = len(self.dual_coef_) - basis.Q.shape[1]
-            if not hasattr(self, "centers_"):
-                raise ValueError(
-                    "The native norm cannot be estimated with centers='precomputed', "
-                    "from distances to the centres alone; give norm, or fit on the "
-                    "states with centers=SeparatedCenterSelector()."
-                )
-            if degrees < 2:
-                raise ValueError(
-                    f"The native norm cannot be estimated from {len(self.dual_coef_)} "
-                    f"centres with trend={self.trend!r}; give norm, or take more "
-                    "centres."
-                )
-            self._norm = _error_bound.native_norm(
-                self._sections,
-                self.centers_,
-                self._nugget,
-                self._tail,
-                self._values.means,
-                np.ravel(self.signal_std_) * np.sqrt(degrees),
-            )
-        return self._norm
-
-    def _native_basis(self) -> NativeBasis:
-        basis = self._fitted_basis()
-        assert isinstance(basis, NativeBasis)
-        return basis
-
-    def _fitted_basis(self) -> NativeBasis | ImplicitBasis:
-        if hasattr(self, "_basis"):
-            if isinstance(self._basis, GrowingInterpolant):
-                return self._basis.native()
-            return self._basis
-        if not isinstance(self._sections, KernelSections):
+    def _estimated_norms(self, system: DirectSystem) -> Array:
+        """Return an estimate of the native norm of each output."""
+        if hasattr(self, "_norms"):
+            return self._norms
+        M = len(self.dual_coef_)
+        if not hasattr(self, "centers_"):
             raise ValueError(
-                "With centers='precomputed' the distances between the centres are "
-                "not pickled, so that a loaded model has no power function or "
-                "standard deviation; fit again, or fit on the states with "
+                "The native norm cannot be estimated with centers='precomputed', from "
+                "distances to the centres alone; give norm, or fit on the states with "
                 "centers=SeparatedCenterSelector()."
             )
-        try:
-            if isinstance(self.solver_, ConjugateGradient):
-                self._basis = ImplicitBasis.of(
-                    self._sections, self._nugget, self._tail, self.solver_, self.n_jobs
-                )
-            else:
-                self._basis = NativeBasis.of(
-                    self._sections, self.centers_, self._nugget, self._tail
-                )
-        except np.linalg.LinAlgError as error:
+        degrees = M - system.trend_rank
+        if degrees < 2:
             raise ValueError(
-                "The Gram matrix, not pickled, was barely positive definite where "
-                "the model was fitted, and is not on this machine: predictions are "
-                f"all that is left. Fit again, here. {REMEDY}"
-            ) from error
-        return self._basis
+                f"The native norm cannot be estimated from {M} centres with "
+                f"trend={self.trend!r}; give norm, or take more centres."
+            )
+        seminorm = np.ravel(self.signal_std_) * np.sqrt(degrees)
+        self._norms = native_norm(system, self._output_means, seminorm)
+        return self._norms
+
+    def _direct_system(self) -> DirectSystem:
+        system = self._fitted_system()
+        assert isinstance(system, DirectSystem)
+        return system
+
+    def _fitted_system(self) -> System:
+        """Return the system of the estimate, made anew after loading."""
+        if hasattr(self, "_system"):
+            return self._system
+        if not hasattr(self, "centers_"):
+            raise ValueError(
+                "With centers='precomputed' the distances between the centres are not "
+                "pickled, so that a loaded model has no power function or standard "
+                "deviation; fit again, or fit on the states with "
+                "centers=SeparatedCenterSelector()."
+            )
+        degree = None
+        if hasattr(self, "trend_coef_"):
+            degree = min(len(self.trend_coef_) - 1, 1)
+        self._system = restore_system(
+            self._sections(), self._nugget, degree, self.solver_, self.n_jobs
+        )
+        return self._system
+
+
+# What follows from the rest, and is large or takes long to compute.
+_NOT_PICKLED = ("_system", "_growth", "_norms", "_reach")
+# What an earlier fit may leave.
+_STALE = (
+    *_NOT_PICKLED,
+    "_rcond",
+    "_columns",
+    "_output_means",
+    "_output_counts",
+    "_output_scatter",
+    "centers_",
+    "trend_coef_",
+    "n_iter_",
+    "solver_residual_",
+)
 
 
 def _is_isotropic(kernel: Any) -> bool:

@@ -1,299 +1,232 @@
-"""Estimates that grow with their data: block updates of the Cholesky factor."""
+"""Systems that grow with their data: block updates of the Cholesky factor."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
 from scipy.linalg.blas import dgemm
-from scipy.linalg.lapack import dpotrf
 
-from sklearn_koopman._linalg._cholesky import SINGULAR, NativeBasis, solve_triangular
-from sklearn_koopman._linalg._direct import (
-    ACCURACY,
-    Solution,
-    column_norms,
-    evaluate,
-    fitted,
+from sklearn_koopman._linalg._cholesky import MIN_RCOND, RCOND_TO_VERIFY, pivot_rcond
+from sklearn_koopman._linalg._fit import (
+    Fit,
+    check_rows_suffice,
+    check_trend_determined,
     relative_error,
+    scale_residuals,
 )
-from sklearn_koopman._linalg._least_squares import (
-    SUSPECT,
-    NormalEquations,
-    too_few_rows,
-)
+from sklearn_koopman._linalg._least_squares import NormalEquations
+from sklearn_koopman._linalg._systems import DirectSystem, column_norms
 from sklearn_koopman._matrices._polynomial import PolynomialTrend
-from sklearn_koopman._matrices._sections import Sections, gram_matrix, matrix
-from sklearn_koopman._utils._typing import Array, Indices
+from sklearn_koopman._matrices._sections import KernelSections, gram_matrix, matrix
+from sklearn_koopman._utils._typing import Array
 
-# A factor is put together when rows have been added so many times, or so many rows in
-# relation to those before.
-TIMES = 64
-GROWN = 0.25
-# The bound of the reciprocal condition number by pivots is this much too high.
-OPTIMISM = 1e3
+# Blocks of a factor are joined if there are more, or if the added rows are more than
+# this part of the first ones.
+MAX_BLOCKS = 64
+MAX_ADDED_PART = 0.25
+# The bound of the reciprocal condition number by pivots is at most this much too high.
+PIVOT_OPTIMISM = 1e3
 # Centres at which a suspect interpolant is verified.
-VERIFIED = 128
+VERIFIED_CENTERS = 128
 
 
-@dataclass
-class GrowingFactor:
-    """A Cholesky factor in blocks of rows: added ones need no copy of the others."""
+class GrowingSystem(DirectSystem):
+    """A direct system that takes further centres.
 
-    blocks: list[Array]  # in Fortran order, of shape (rows, columns up to their last)
+    The Cholesky factor is a list of blocks of rows, in Fortran order and of shape
+    (rows, columns up to their last), so that added rows need no copy of the others.
+    The values u and the monomials at the centres stay transformed by the inverse of
+    the factor, which added rows do not change.
+    """
 
-    def __len__(self) -> int:
-        return self.blocks[-1].shape[1]
-
-    def diagonal(self) -> Array:
-        """Return its diagonal."""
-        return np.concatenate(
-            [block[:, -len(block) :].diagonal() for block in self.blocks]
+    def __init__(self, system: DirectSystem, u: Array) -> None:
+        vars(self).update(vars(system))
+        self.offered = self.sections  # what was dropped before is forgotten
+        self.blocks = [self.__dict__.pop("lower")]
+        self.origin = self.sections.points[0].copy()
+        self.u = u
+        self.transformed_u = self._forward(u)
+        self.transformed_monomials = self._forward(
+            self._monomials(self.sections.points)
         )
 
-    def forward(self, b: Array) -> Array:
-        """Return L^-1 b."""
-        x = np.array(b, order="F")
-        for block in self.blocks:
-            start, stop = block.shape[1] - len(block), block.shape[1]
-            rest = x[start:stop]
-            if start:
-                rest = dgemm(-1.0, block[:, :start], x[:start], 1.0, rest)
-            x[start:stop] = solve_triangular(_square(block), rest)
-        return x
-
-    def backward(self, v: Array) -> Array:
-        """Return L^-T v."""
-        x = np.array(v, order="F")
-        for block in reversed(self.blocks):
-            start, stop = block.shape[1] - len(block), block.shape[1]
-            own = solve_triangular(_square(block), x[start:stop], transpose=True)
-            x[start:stop] = own
-            if start:
-                x[:start] -= dgemm(1.0, block[:, :start], own, trans_a=1)
-        return x
-
-    def extend(self, added: Array, lower: Array) -> None:
-        """Add rows: L^-1 times the columns of the matrix, and their own factor."""
-        self.blocks.append(np.asfortranarray(np.hstack([added.T, lower])))
-        grown = sum(len(block) for block in self.blocks[1:])
-        if grown > GROWN * len(self.blocks[0]) or len(self.blocks) > TIMES:
-            self.join()
-
-    def join(self) -> Array:
-        """Put the blocks together, and return them as one array.
-
-        What is above its diagonal has no meaning.
-        """
+    @property
+    def lower(self) -> Array:  # type: ignore[override]
+        """The factor in one piece; what is above its diagonal has no meaning."""
         if len(self.blocks) > 1:
-            L = np.empty((len(self), len(self)), order="F")
+            M = self.blocks[-1].shape[1]
+            L = np.empty((M, M), order="F")
             for block in self.blocks:
                 start, stop = block.shape[1] - len(block), block.shape[1]
                 L[start:stop, :stop] = block
             self.blocks = [L]
         return self.blocks[0]
 
+    def extended(
+        self, sections: KernelSections, nugget: Array, u: Array
+    ) -> GrowingSystem:
+        """Return the system with added centres, the last ones of the sections.
 
-def _square(block: Array) -> Array:
-    size = len(block)
-    return block if block.shape[1] == size else block[:, -size:]
-
-
-@dataclass
-class GrowingInterpolant:
-    """An interpolant that takes more centres.
-
-    The values u at the centres and the monomials of the tail stay transformed by the
-    inverse of the factor, which added rows do not change.
-    """
-
-    sections: Sections
-    centers: Array
-    excess: Array
-    rcond: float  # an upper bound, once centres have been added
-    tail: PolynomialTrend | None
-    Q: Array
-    R: Array
-    factor: GrowingFactor
-    v: Array  # L^-1 u
-    VP: Array  # L^-1 times the monomials 1 and x - origin, without a tail no columns
-    origin: Array
-
-    @classmethod
-    def of(cls, basis: NativeBasis, centers: Array, u: Array) -> GrowingInterpolant:
-        """Continue from the basis of an interpolant of u."""
-        factor = GrowingFactor([basis.lower])
-        origin = centers[0].copy()
-        return cls(
-            basis.sections,
-            centers,
-            basis.excess,
-            basis.rcond,
-            basis.tail,
-            basis.Q,
-            basis.R,
-            factor,
-            factor.forward(u),
-            factor.forward(_monomials(basis.tail, centers, origin)),
-            origin,
-        )
-
-    def native(self) -> NativeBasis:
-        """Return the basis with its factor in one piece."""
-        return NativeBasis(
-            self.sections,
-            self.factor.join(),
-            self.excess,
-            self.rcond,
-            self.tail,
-            self.Q,
-            self.R,
-        )
-
-    def extend(
-        self, sections: Sections, points: Array, nugget: Array, u: Array
-    ) -> None:
-        """Add centres, the last ones of the sections, with their values.
+        `nugget` and `u` are those of all centres; the nugget of the earlier ones must
+        not have changed. O(k M^2) operations for k centres.
 
         Raises
         ------
         LinAlgError
-            If the factor has no digits to spare for that. Nothing is changed then.
+            If the matrix has too few digits for that. This system stays as it is.
         """
-        M = len(self.centers)
-        new = np.arange(M, M + len(points))
-        corner, excess, _ = gram_matrix(sections.take(new), points, nugget)
-        added = self.factor.forward(matrix(self.sections, points).T)
-        left = dgemm(-1.0, added, added, 1.0, corner, trans_a=1)
-        lower, info = dpotrf(left, lower=1, clean=0, overwrite_a=1)
-        pivots = np.append(self.factor.diagonal(), lower.diagonal())
-        rcond = min(self.rcond, float(pivots.min() / pivots.max()) ** 2)
-        if info != 0 or not rcond > SINGULAR:
+        grown = copy(self)
+        grown.blocks = list(self.blocks)
+        M = self.sections.size
+        if not np.array_equal(nugget[:M], self.nugget):
+            raise np.linalg.LinAlgError("the weights of centres have changed")
+        if sections.size > M:
+            grown._add_centers(sections, nugget, u)
+        if not np.array_equal(u[:M], self.u):
+            grown.transformed_u = grown._forward(u)
+        grown.u = u
+        return grown
+
+    def interpolate(self, u: Array, negligible: float = 0.0) -> Fit:
+        """Return the function with the values u at the centres.
+
+        Raises
+        ------
+        LinAlgError
+            If the function misses its values.
+        """
+        v = self.transformed_u if u is self.u else self._forward(u)
+        b = self.Q.T @ v
+        z = v - self.Q @ b
+        expansion = self._expand(z, b)
+        if self.rcond_bound < PIVOT_OPTIMISM * RCOND_TO_VERIFY:
+            rows = np.arange(0, len(u), max(len(u) // VERIFIED_CENTERS, 1))
+            reached = expansion(self.sections.points[rows])
+            reached += self.excess[rows, np.newaxis] * expansion.dual_coef[rows]
+            self._verify(relative_error(reached, u[rows]))
+        return Fit(expansion, column_norms(z), len(z))
+
+    def rcond(self) -> float:
+        """Bound the reciprocal condition number from above, by the pivots."""
+        return self.rcond_bound
+
+    def _add_centers(self, sections: KernelSections, nugget: Array, u: Array) -> None:
+        M = self.sections.size
+        new = np.arange(M, sections.size)
+        added_sections = sections.take(new)
+        corner, excess, norm = gram_matrix(added_sections, nugget[new])
+        added = self._forward(matrix(self.sections, added_sections.centers).T)
+        remainder = dgemm(-1.0, added, added, 1.0, corner, trans_a=1)
+        lower = cholesky(remainder, lower=True, overwrite_a=True, check_finite=False)
+        diagonals = [block[:, -len(block) :].diagonal() for block in self.blocks]
+        pivots = np.concatenate([*diagonals, lower.diagonal()])
+        self.rcond_bound = min(self.rcond_bound, pivot_rcond(pivots))
+        if not self.rcond_bound > MIN_RCOND:
             raise np.linalg.LinAlgError("the Gram matrix is not positive definite")
 
         def continued(before: Array, values: Array) -> Array:
             rest = values - dgemm(1.0, added, before, trans_a=1)
-            return np.vstack([before, solve_triangular(lower, rest)])
+            after = solve_triangular(lower, rest, lower=True, check_finite=False)
+            return np.vstack([before, after])
 
-        self.v = continued(self.v, u)
-        if self.tail is not None:
-            monomials = _monomials(self.tail, points, self.origin)
-            self.VP = continued(self.VP, monomials)
-        self.factor.extend(added, lower)
-        self.sections = sections
-        self.centers = np.vstack([self.centers, points])
+        self.transformed_u = continued(self.transformed_u, u[new])
+        monomials = self._monomials(added_sections.centers)
+        self.transformed_monomials = continued(self.transformed_monomials, monomials)
+        self.blocks.append(np.asfortranarray(np.hstack([added.T, lower])))
+        self.sections = self.offered = sections
+        self.kept = np.arange(sections.size)
+        self.nugget = self.offered_nugget = nugget
         self.excess = np.append(self.excess, excess)
-        self.rcond = rcond
-        if self.tail is not None:
-            degree = 0 if len(self.tail.seen) == 1 else 1
-            self.tail = PolynomialTrend.on(self.centers, degree, self.centers)
+        self.norm += norm
+        n_added = sum(len(block) for block in self.blocks[1:])
+        few = n_added <= MAX_ADDED_PART * len(self.blocks[0])
+        if not few or len(self.blocks) > MAX_BLOCKS:
+            _ = self.lower
+        self.Q = np.empty((len(pivots), 0))
+        if self.degree is not None:
+            self.trend = PolynomialTrend.at(sections.centers, self.degree)
             # The same polynomials in the monomials about the first origin.
-            seen = self.tail.seen.copy()
-            if degree == 1:
-                seen[0] += (self.origin - self.tail.origin) @ seen[1:]
-            self.Q, self.R = np.linalg.qr(self.VP @ seen)
-        else:
-            self.Q = np.empty((len(self.centers), 0))
+            coefficients = self.trend.coefficients.copy()
+            if self.degree == 1:
+                coefficients[0] += (self.origin - self.trend.origin) @ coefficients[1:]
+            self.Q, self.R = np.linalg.qr(self.transformed_monomials @ coefficients)
+        self.trend_rank = self.Q.shape[1]
 
-    def solution(self, u: Array) -> Solution[GrowingInterpolant]:
-        """Return the interpolant of u.
+    def _monomials(self, points: Array) -> Array:
+        if self.degree is None:
+            return np.empty((len(points), 0))
+        ones = np.ones((len(points), 1))
+        return ones if self.degree == 0 else np.hstack([ones, points - self.origin])
 
-        Raises
-        ------
-        LinAlgError
-            If it misses its values.
-        """
-        b = self.Q.T @ self.v
-        z = self.v - self.Q @ b
-        dual = self.factor.backward(z)
-        trend = np.empty((0, z.shape[1]))
-        if self.tail is not None:
-            trend = self.tail.seen @ np.linalg.solve(self.R, b)
-        if self.rcond < OPTIMISM * SUSPECT:
-            some = np.arange(0, len(u), max(len(u) // VERIFIED, 1))
-            reached = evaluate(
-                self.sections, self.tail, self.centers[some], dual, trend
+    def _forward(self, b: Array, overwrite: bool = False) -> Array:
+        x = np.array(b, order="F")
+        for block in self.blocks:
+            start, stop = block.shape[1] - len(block), block.shape[1]
+            rest = x[start:stop]
+            if start:
+                rest = dgemm(-1.0, block[:, :start], x[:start], 1.0, rest)
+            x[start:stop] = solve_triangular(
+                block[:, start:], rest, lower=True, check_finite=False
             )
-            reached += self.excess[some, np.newaxis] * dual[some]
-            if relative_error(reached, u[some]) > ACCURACY:
-                raise np.linalg.LinAlgError("the interpolant misses its values")
-        kept = np.arange(len(z))
-        return Solution(self, kept, dual, trend, column_norms(z), len(z), 0.0)
+        return x
 
-
-def _monomials(tail: PolynomialTrend | None, centers: Array, origin: Array) -> Array:
-    if tail is None:
-        return np.empty((len(centers), 0))
-    ones = np.ones((len(centers), 1))
-    return ones if len(tail.seen) == 1 else np.hstack([ones, centers - origin])
+    def _backward(self, v: Array) -> Array:
+        x = np.array(v, order="F")
+        for block in reversed(self.blocks):
+            start, stop = block.shape[1] - len(block), block.shape[1]
+            own = solve_triangular(
+                block[:, start:], x[start:stop], lower=True, trans=1, check_finite=False
+            )
+            x[start:stop] = own
+            if start:
+                x[:start] -= dgemm(1.0, block[:, :start], own, trans_a=1)
+        return x
 
 
 @dataclass
-class GrowingRegression:
+class GrowingLeastSquares:
     """Least squares at fixed centres over rows that are added up."""
 
-    basis: NativeBasis
-    kept: Indices  # which of the centres offered carry the estimate
+    system: DirectSystem
     equations: NormalEquations
     n_rows: int
 
     @classmethod
-    def of(cls, basis: NativeBasis, kept: Indices, n_outputs: int) -> GrowingRegression:
-        """Start without rows."""
-        equations = NormalEquations.empty(basis, basis.lower, n_outputs)
-        return cls(basis, kept, equations, 0)
+    def over(cls, system: DirectSystem, X: Array, y: Array) -> GrowingLeastSquares:
+        """Start with the first rows."""
+        check_trend_determined(system.trend, len(system.kept))
+        equations = NormalEquations.empty(system, system.lower, y.shape[1])
+        equations.add(system, X, y.__getitem__)
+        return cls(system, equations, len(X))
 
-    def add(self, X: Array, y: Array) -> None:
-        """Add rows."""
-        tail = self.basis.tail
-        if tail is not None and len(tail.seen) > 1:
-            self._widen(tail, X)
-        self.equations.add(self.basis, X, y.__getitem__)
-        self.n_rows += len(X)
-
-    def _widen(self, tail: PolynomialTrend, X: Array) -> None:
-        """Give features that have been constant until now their polynomials."""
-        known = np.hstack([tail.seen, tail.unseen])[1:]
-        away = np.abs(X - tail.origin).max(axis=0)
-        new = ~known.any(axis=1) & (away > 1e-13 * np.abs(tail.origin))
-        if new.any():
-            added = np.zeros((len(tail.seen), int(new.sum())))
-            added[1 + np.flatnonzero(new), np.arange(new.sum())] = 1 / away[new]
-            tail = replace(tail, unseen=np.hstack([tail.unseen, added]))
-            self.basis = replace(self.basis, tail=tail)
-            self.equations.widen(int(new.sum()))
-
-    def learn(
-        self, X: Array, y: Array, alpha: float
-    ) -> tuple[Solution[NativeBasis], Array]:
-        """Add rows and return `solution`; if there is none, the rows do not count."""
-        basis, n_rows, before = self.basis, self.n_rows, self.equations.copy()
+    def add(self, X: Array, y: Array, alpha: float) -> Fit:
+        """Add rows and return `fit`; if there is none, the rows do not count."""
+        n_rows, before = self.n_rows, self.equations.copy()
         try:
-            self.add(X, y)
-            return self.solution(alpha, X)
-        except ValueError:
+            self.equations.add(self.system, X, y.__getitem__)
+            self.n_rows += len(X)
+            return self.fit(X, alpha)
+        except ValueError:  # of linear algebra, too
             np.copyto(self.equations.upper, before.upper)
             before.upper = self.equations.upper
-            self.basis, self.n_rows, self.equations = basis, n_rows, before
+            self.n_rows, self.equations = n_rows, before
             raise
 
-    def solution(self, alpha: float, X: Array) -> tuple[Solution[NativeBasis], Array]:
-        """Return the estimate, verified on these rows, and the norms of its residuals.
+    def fit(self, X: Array, alpha: float) -> Fit:
+        """Return the fit, verified at these rows.
 
         Raises
         ------
         LinAlgError
             If rounding leaves too few digits.
         """
-        basis = self.basis
-        if alpha == 0 and self.n_rows < len(basis.lower):
-            raise too_few_rows(self.n_rows, len(basis.lower))
-        F = np.empty_like(basis.lower)
-        z, b, freedom = self.equations.solve(basis, alpha, F)
-        residual = self.equations.residual_norms(z, b)
-        solution = fitted(basis, np.arange(len(z)), X, z, b, freedom)
-        if solution.error > ACCURACY:
-            raise np.linalg.LinAlgError(
-                f"the solution misses its values by {solution.error:.1e}"
-            )
-        return solution, residual
+        system = self.system
+        check_rows_suffice(self.n_rows, len(system.kept), alpha)
+        F = np.empty_like(system.lower)
+        z, b, dof = self.equations.solve(system, alpha, F)
+        norms = self.equations.residual_norms(z, b)
+        noise_std = scale_residuals(norms, self.n_rows, dof)
+        return system.fit_at(X, z, b, dof)._replace(noise_std=noise_std)

@@ -1,14 +1,10 @@
-"""Estimates without a dense Gram matrix: sparse ones, and products evaluated anew.
+"""Systems without a dense Gram matrix: sparse ones, and products evaluated anew.
 
 A system with the Gram matrix is solved by conjugate gradients in the complement of the
-polynomials of the tail, whose coefficients follow from what is left of the values.
+polynomials of the trend. Their coefficients follow from what remains of the values.
 """
 
 from __future__ import annotations
-
-import os
-import warnings
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg.lapack import dtrtri
@@ -18,166 +14,340 @@ from sklearn.utils import check_random_state, gen_batches
 
 from sklearn_koopman._linalg._cholesky import cholesky
 from sklearn_koopman._linalg._conjugate_gradient import (
-    Converged,
+    CGResult,
     Product,
     beyond_rounding,
     complement,
     conjugate_gradients,
+)
+from sklearn_koopman._linalg._fit import (
+    REMEDY,
+    Fit,
+    check_rows_suffice,
+    check_trend_determined,
+    estimate_noise,
+    no_estimate,
+)
+from sklearn_koopman._linalg._preconditioners import (
+    banded_solver,
+    bandwidth,
     low_rank_inverse,
     neighbor_preconditioner,
     pivoted_factor,
 )
-from sklearn_koopman._linalg._direct import Solution, UnsuitableKernelError
 from sklearn_koopman._matrices import _sparse
-from sklearn_koopman._matrices._polynomial import PolynomialTrend, polynomial
+from sklearn_koopman._matrices._polynomial import PolynomialTrend
 from sklearn_koopman._matrices._sections import (
+    KernelExpansion,
     KernelSections,
-    Sections,
     gram_matrix,
     gram_product,
-    is_sparse,
     matrix,
     product,
     sparse_matrix,
+    sparse_tree,
 )
-from sklearn_koopman._utils._typing import Array
+from sklearn_koopman._utils._typing import Array, Indices
+from sklearn_koopman._utils._warnings import warn
 from sklearn_koopman.solvers import ConjugateGradient
 
-# Up to so many centres a dense matrix is a matter of a second, ...
-DENSE_CENTERS = 5000
-# ... and it may take this part of the memory.
-DENSE_MEMORY = 0.5
-# Up to this density, a matrix that is multiplied with many times is kept as a sparse
+# Up to this density, a matrix that is multiplied with many times is held as a sparse
 # one.
-KEPT = 0.1
-# Operations for which a banded factorisation is worth while.
-BANDED_WORK = 2e10
-# What is left of the diagonal, relative to the nugget, for which few columns of the
-# matrix stand for all.
-FEW_COLUMNS = 0.1
+MAX_DENSITY_TO_HOLD = 0.1
+# Operations up to which a banded factorisation is worth while.
+MAX_BANDED_OPERATIONS = 2e10
+# Columns of the matrix stand for all of it if this part of the nugget is left of the
+# diagonal.
+NYSTROEM_REMAINDER = 0.1
 # Neighbours that a centre is conditioned on.
-NEIGHBORS = 30
-COMPACT_NEIGHBORS = 10
+N_NEIGHBORS = 30
+N_NEIGHBORS_COMPACT = 10
 # Rows of the power function that are solved for at once.
 POWER_ROWS = 256
-# Random vectors for the trace of the matrix that takes outputs to fitted values.
-PROBES = 16
+# Random vectors that estimate the trace of the matrix from outputs to fitted values.
+N_PROBE_VECTORS = 16
+# Polynomials, orthonormal on the centres, are not determined by rows on which they are
+# shorter than this part of the longest.
+MIN_RELATIVE_LENGTH = 1e-7
+# Up to so many centres, the normal equations are whitened by a dense factor.
+MAX_CENTERS_TO_WHITEN_DENSELY = 5000
 
 
-def is_large(sections: Sections, points: Array) -> bool:
-    """Tell whether a dense Gram matrix would take too much memory, or mostly zeros."""
-    n = len(points)
-    fits = 1.3 * 8 * n**2 <= DENSE_MEMORY * _physical_memory()
-    if not isinstance(sections, KernelSections) or (fits and n <= DENSE_CENTERS):
-        return False
-    return not fits or is_sparse(sections, points)
+class IterativeSystem:
+    """A Gram matrix that is only multiplied with, and its preconditioner."""
 
-
-def _physical_memory() -> float:
-    try:
-        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    except (AttributeError, OSError, ValueError):  # not on this operating system
-        return 8 * 2.0**30
-
-
-@dataclass(frozen=True)
-class ImplicitBasis:
-    """The span of the sections, with a solver for systems with the Gram matrix."""
-
-    sections: KernelSections
-    excess: Array
-    tail: PolynomialTrend | None
-    Q: Array  # (M, q): orthonormal values at the centres of the polynomials seen there
-    product: Product
-    precondition: Product
-    W: csr_array | None  # W^T W is close to the inverse of the matrix
-    solver: ConjugateGradient
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         sections: KernelSections,
         nugget: Array,
-        tail: PolynomialTrend | None,
+        degree: int | None,
         solver: ConjugateGradient,
+        extent: Array | None = None,
         n_jobs: int | None = None,
-    ) -> ImplicitBasis:
-        """Prepare the product with the Gram matrix and its preconditioner.
+        max_banded_operations: float = MAX_BANDED_OPERATIONS,
+    ) -> None:
+        centers = sections.centers
+        self.sections = sections
+        self.kept: Indices = np.arange(len(centers))
+        self.nugget = nugget
+        self.solver = solver
+        diagonal = sections.diagonal(centers) + nugget
+        self.excess: Array = diagonal - sections.smooth_diagonal(centers)
+        # Orthonormal values at the centres of the polynomials that they determine.
+        self.trend: PolynomialTrend | None = None
+        self.Q = np.empty((len(centers), 0))
+        if degree is not None:
+            self.trend = PolynomialTrend.at(centers, degree, extent)
+            self.Q = self.trend.values(centers)
+        self.trend_rank = self.Q.shape[1]
+        self.product: Product = self._multiply(n_jobs)
+        # W^T W is close to the inverse of the matrix.
+        self.W: csr_array | None = None
+        self.precondition: Product
+        kind = solver.preconditioner
+        tree = sparse_tree(sections, centers, MAX_DENSITY_TO_HOLD)
+        if kind == "banded" or tree is not None:
+            if not np.isfinite(getattr(sections.kernel, "support_radius", np.inf)):
+                raise ValueError(
+                    f"kernel={sections.kernel!r} has no compact support, which "
+                    "preconditioner='banded' needs: take preconditioner='auto'."
+                )
+            K = _sparse.gram(sections.kernel, centers, diagonal)
+            self.product = K.__matmul__
+            if kind in ("auto", "banded"):
+                kind = self._factor_band(K, max_banded_operations)
+        shift = float(self.excess.mean())
+        if kind == "nystroem" or (kind == "auto" and shift > 0):
+            F, remainder = self._pivoted_factor()
+            if kind == "nystroem" or remainder <= NYSTROEM_REMAINDER * shift:
+                kind = "nystroem"
+                self.precondition = low_rank_inverse(F, shift + remainder)
+        if kind in ("auto", "neighbors"):
+            self.W = self._neighbor_root(diagonal)
+            self.precondition = _whiten(self.W)
+
+    def interpolate(self, u: Array, negligible: float = 0.0) -> Fit:
+        """Return the function with the values u at the centres.
+
+        Where the diagonal of the matrix has an excess E over the sections, the values
+        are u - E c. Nothing is ever dropped, whatever is `negligible`.
+
+        Raises
+        ------
+        ValueError
+            If the iteration diverges.
+
+        Warns
+        -----
+        ConvergenceWarning
+            If the iteration ends above its tolerance.
+        """
+        found = self._solve(self.product, u, self.precondition)
+        trend_coef = np.empty((0, u.shape[1]))
+        if self.trend is not None:
+            values = self.Q.T @ (u - self.product(found.x))
+            trend_coef = self.trend.coefficients @ values
+        # c^T K c, since c is orthogonal to the polynomials.
+        seminorm = _root_of_product(found.x, u)
+        dof = len(self.kept)
+        return self._fit(found, found.x, trend_coef, seminorm, dof)
+
+    def least_squares(
+        self, X: Array, y: Array, alpha: float, n_jobs: int | None = None
+    ) -> Fit:
+        """Return the function g that minimises |y - g(X)|^2 + alpha |g|_H^2.
+
+        With k = k(X, Xi), and T the values of the polynomials, the coefficients c
+        minimise
+
+            |y - k c - T b|^2 + alpha c^T K c    with    P^T c = 0.
+
+        The polynomials are taken off y and k by projection. As in FALKON (Rudi,
+        Carratino and Rosasco 2017), the rows are taken for spread as the centres are,
+        so that the matrix k^T k + alpha K is nearly K (n/M K + alpha). With W^T W
+        close to the inverse of K and F F^T close to K, it is preconditioned by
+
+            W^T (n/M H H^T + (alpha + n/M remainder) I)^-1 W,
+
+            H H^T = W F F^T F F^T W^T.
+
+        Raises and warns as `interpolate`.
+        """
+        sections = self.sections
+        M, n, n_outputs = sections.size, len(X), y.shape[1]
+        check_rows_suffice(n, M, alpha)
+        check_trend_determined(self.trend, M)
+        T, axes = np.empty((n, 0)), np.empty((0, 0))
+        if self.trend is not None:
+            U, lengths, V = np.linalg.svd(self.trend.values(X), full_matrices=False)
+            determined = lengths > MIN_RELATIVE_LENGTH * lengths[0]
+            T = U[:, determined]
+            axes = V[determined].T / lengths[determined]
+        tree = sparse_tree(sections, X, MAX_DENSITY_TO_HOLD)
+        if tree is not None:
+            k = sparse_matrix(sections, X, tree)
+            forward, backward = k.__matmul__, k.T.tocsr().__matmul__
+        else:
+            rows = KernelSections(sections.kernel, X)
+
+            def forward(c: Array) -> Array:
+                return product(sections, X, c, n_jobs)
+
+            def backward(v: Array) -> Array:
+                return product(rows, sections.centers, v, n_jobs)
+
+        def normal(c: Array) -> Array:
+            return backward(complement(T, forward(c))) + alpha * self.product(c)
+
+        W: csr_array | Array | None = self.W
+        if tree is None and M <= MAX_CENTERS_TO_WHITEN_DENSELY:
+            W = _dense_root(sections)
+        elif W is None:
+            W = self._neighbor_root(sections.diagonal(sections.centers))
+        F, remainder = np.zeros((M, 0)), 1.0
+        if tree is None:
+            F, remainder = self._pivoted_factor()
+        values, vectors = np.linalg.eigh(F.T @ F)
+        H = np.sqrt(n / M) * (W @ (F @ (vectors * np.sqrt(np.maximum(values, 0.0)))))
+        inner = low_rank_inverse(H, alpha + n / M * remainder)
+        # The trace of the matrix H from outputs to fitted values is that of its mean
+        # over random vectors v, v^T H v (Hutchinson 1989).
+        random = check_random_state(self.solver.random_state)
+        n_probes = N_PROBE_VECTORS if alpha > 0 else 0
+        signs = random.choice([-1.0, 1.0], size=(n, n_probes))
+        b = backward(beyond_rounding(np.hstack([y, signs]), T))
+        found = self._solve(normal, b, _whiten(W, inner))
+        dual_coef = np.ascontiguousarray(found.x[:, :n_outputs])
+        trend_coef = np.empty((0, n_outputs))
+        if self.trend is not None:
+            values = axes @ (T.T @ (y - forward(dual_coef)))
+            trend_coef = self.trend.coefficients @ values
+        kernel_dof = float(M - self.trend_rank)
+        if n_probes:
+            probes = slice(n_outputs, None)
+            trace = np.einsum("ij,ij->", b[:, probes], found.x[:, probes])
+            kernel_dof = float(trace) / n_probes
+        seminorm = _root_of_product(dual_coef, self.product(dual_coef))
+        dof = kernel_dof + T.shape[1]
+        fit = self._fit(found, dual_coef, trend_coef, seminorm, dof)
+        noise_std = estimate_noise(fit.expansion, X, y, dof, n_jobs)
+        return fit._replace(noise_std=noise_std)
+
+    def power(
+        self, X: Array, n_jobs: int | None = None, batch_rows: int = POWER_ROWS
+    ) -> Array:
+        """Evaluate the power function, by one system for every row.
+
+        Warns
+        -----
+        ConvergenceWarning
+            If it is too large, for want of iterations.
+        """
+        batches = gen_batches(len(X), batch_rows)
+        parts, results = zip(
+            *(self._squared_power(X[rows]) for rows in batches), strict=True
+        )
+        tol = self.solver.tol
+        if any(not found.residual <= tol + found.rounding for found in results):
+            residual = max(found.residual for found in results)
+            warn(
+                "The power function is too large, by the square of a relative residual "
+                f"of up to {residual:.1e}, above tol={tol:.1e}: conjugate gradients "
+                "did not converge for all states. Raise max_iter, rank, n_neighbors "
+                "or tol of the solver.",
+                ConvergenceWarning,
+            )
+        return np.sqrt(np.concatenate(parts))
+
+    def _multiply(self, n_jobs: int | None) -> Product:
+        def multiply(V: Array) -> Array:
+            found = gram_product(self.sections, V, n_jobs)
+            return found + self.excess[:, np.newaxis] * V
+
+        return multiply
+
+    def _factor_band(self, K: csr_array, max_operations: float) -> str:
+        """Factor a sparse matrix if that is cheap or asked for; what is used instead.
 
         Raises
         ------
         LinAlgError
-            If the matrix is found not to be positive definite.
-        UnsuitableKernelError
-            If the preconditioner is not one for this kernel.
+            If it was asked for, and the matrix is not positive definite.
         """
-        centers = sections.centers
-        diagonal = sections.diagonal(centers) + nugget
-        excess = diagonal - sections.smooth_diagonal(centers)
-        P = np.empty((len(centers), 0))
-        if tail is not None:
-            P = polynomial(centers, tail.origin, tail.seen)
-        kind = solver.preconditioner
-        multiply: Product
-        precondition: Product
-        W = None
-        if is_sparse(sections, centers, KEPT) or kind == "banded":
-            if not sections.is_compact:
-                raise UnsuitableKernelError(
-                    "has no compact support, which preconditioner='banded' needs: "
-                    "take preconditioner='auto'"
-                )
-            K = _sparse.gram(sections.kernel, sections.tree, centers, diagonal)
-            multiply = K.__matmul__
-            if kind in ("auto", "banded"):
-                order, width = _sparse.bandwidth(K)
-                cheap = len(centers) * width**2 <= BANDED_WORK
-                kind = "banded" if cheap or kind == "banded" else "neighbors"
-            if kind == "banded":
-                try:
-                    precondition = _sparse.banded_solver(K, order, width)
-                except np.linalg.LinAlgError:
-                    if solver.preconditioner == "banded":
-                        raise
-                    kind = "neighbors"
-        else:
+        asked = self.solver.preconditioner == "banded"
+        order, width = bandwidth(K)
+        if not asked and K.shape[0] * width**2 > max_operations:
+            return "neighbors"
+        try:
+            self.precondition = banded_solver(K, order, width)
+        except np.linalg.LinAlgError as error:
+            if asked:
+                kernel, M = self.sections.kernel, self.sections.size
+                raise no_estimate(kernel, M, str(error)) from error
+            return "neighbors"
+        return "banded"
 
-            def multiply(V: Array) -> Array:
-                found = gram_product(sections, centers, V, n_jobs)
-                return found + excess[:, np.newaxis] * V
+    def _neighbor_root(self, diagonal: Array) -> csr_array:
+        n_neighbors = self.solver.n_neighbors
+        kernel = self.sections.kernel
+        if n_neighbors is None:
+            compact = np.isfinite(getattr(kernel, "support_radius", np.inf))
+            n_neighbors = N_NEIGHBORS_COMPACT if compact else N_NEIGHBORS
+        centers = self.sections.centers
+        return neighbor_preconditioner(kernel, centers, diagonal, n_neighbors)
 
-        # Few columns stand for all of a smooth kernel, in comparison with the nugget.
-        shift = float(excess.mean())
-        if kind == "nystroem" or (kind == "auto" and shift > 0):
-            F, left = _few_columns(sections, solver)
-            if kind == "nystroem" or left <= FEW_COLUMNS * shift:
-                kind = "nystroem"
-                precondition = low_rank_inverse(F, shift + left)
-        if kind in ("auto", "neighbors"):
-            W = neighbor_preconditioner(
-                sections.kernel, centers, diagonal, _n_neighbors(sections, solver)
+    def _pivoted_factor(self) -> tuple[Array, float]:
+        sections = self.sections
+        F, remainder = pivoted_factor(
+            lambda pivots: matrix(sections.take(pivots), sections.centers),
+            sections.smooth_diagonal(sections.centers),
+            self.solver.rank,
+            check_random_state(self.solver.random_state),
+        )
+        # Rounding leaves this much where the columns leave nothing.
+        return F, remainder + 1e-14 * len(F)
+
+    def _solve(self, multiply: Product, b: Array, precondition: Product) -> CGResult:
+        found = self._descend(multiply, b, precondition)
+        kernel, M = self.sections.kernel, self.sections.size
+        residual, solver = found.residual, self.solver
+        if not residual < 1:
+            reason = f"conjugate gradients diverge (relative residual {residual:.1e})"
+            raise no_estimate(kernel, M, reason)
+        if residual > solver.tol + found.rounding:
+            advice = (
+                "Raise max_iter, rank, n_neighbors or tol of the solver."
+                if found.n_iter >= solver.max_iter
+                else "More of them did not help, as rounding allows no less: raise tol."
             )
-            precondition = _squared(W)
-        return cls(sections, excess, tail, P, multiply, precondition, W, solver)
-
-    def solve(self, u: Array) -> Converged:
-        """Return the coefficients c with u - K c a polynomial and Q^T c = 0."""
-        found = self._descend(u)
-        _check(found)
+            warn(
+                f"Conjugate gradients for kernel={kernel!r} on {M} centres ended after "
+                f"{found.n_iter} iterations with a relative residual of "
+                f"{residual:.1e}, above tol={solver.tol:.1e}. {advice} {REMEDY}",
+                ConvergenceWarning,
+            )
         return found
 
-    def _descend(self, u: Array) -> Converged:
+    def _descend(self, multiply: Product, b: Array, precondition: Product) -> CGResult:
+        solver = self.solver
         return conjugate_gradients(
-            self.product,
-            u,
-            self.precondition,
-            self.Q,
-            self.solver.tol,
-            self.solver.max_iter,
+            multiply, b, precondition, self.Q, solver.tol, solver.max_iter
         )
 
-    def variance(self, X: Array) -> tuple[Array, float]:
-        """Evaluate the squared power function, and the residual of the weights.
+    def _fit(
+        self,
+        found: CGResult,
+        dual_coef: Array,
+        trend_coef: Array,
+        seminorm: Array,
+        dof: float,
+    ) -> Fit:
+        origin = np.zeros(0) if self.trend is None else self.trend.origin
+        expansion = KernelExpansion(self.sections, dual_coef, origin, trend_coef)
+        return Fit(expansion, seminorm, dof, None, found.n_iter, found.residual)
+
+    def _squared_power(self, X: Array) -> tuple[Array, CGResult]:
+        """Evaluate the squared power function, and how well the weights converged.
 
         Any weights w with P^T w = p(x) give k(x, x) - 2 w^T k(Xi, x) + w^T K w: the
         least of all values for those solved for, and too much, never too little, by
@@ -185,208 +355,42 @@ class ImplicitBasis:
         """
         b = matrix(self.sections, X).T
         w = np.zeros_like(b)
-        if self.tail is not None:
+        Kw = w
+        if self.trend is not None:
             # Polynomials at x by their values at the centres.
-            w += self.Q @ polynomial(X, self.tail.origin, self.tail.seen).T
-        Kw = self.product(w) if self.tail is not None else w
+            w += self.Q @ self.trend.values(X).T
+            Kw = self.product(w)
         at_first = np.einsum("ij,ij->j", w, Kw - 2 * b)
-        found = self._descend(b - Kw)
+        found = self._descend(self.product, b - Kw, self.precondition)
         w += found.x
         quadratic = np.einsum("ij,ij->j", w, self.product(w) - 2 * b)
-        # Weights that have diverged say less than those before.
+        # Weights that have diverged are worse than those at first.
         quadratic = np.fmin(quadratic, at_first)
-        variance = np.maximum(self.sections.diagonal(X) + quadratic, 0.0)
-        return variance, found.residual
-
-    def power(self, X: Array, n_jobs: int | None = None) -> Array:
-        """Evaluate the power function.
-
-        Warns
-        -----
-        ConvergenceWarning
-            If it is too large, for want of iterations.
-        """
-        batches = gen_batches(len(X), POWER_ROWS)
-        parts, residuals = zip(
-            *(self.variance(X[rows]) for rows in batches), strict=True
-        )
-        if not max(residuals) <= self.solver.tol:
-            warnings.warn(
-                "The power function is too large, by the square of a relative residual "
-                f"of up to {max(residuals):.1e}, above tol={self.solver.tol:.1e}: "
-                "conjugate gradients did not converge for all states. Raise max_iter, "
-                "rank, n_neighbors or tol of the solver.",
-                ConvergenceWarning,
-                stacklevel=3,
-            )
-        return np.sqrt(np.concatenate(parts))
-
-    def trend(self, values: Array) -> Array:
-        """Return the coefficients of the monomials, given values at the centres."""
-        if self.tail is None:
-            return np.empty((0, values.shape[1]))
-        return self.tail.seen @ (self.Q.T @ values)
+        return np.maximum(self.sections.diagonal(X) + quadratic, 0.0), found
 
 
 def _root_of_product(v: Array, w: Array) -> Array:
-    """Return the root of v^T w for every column, whatever the unit of both."""
+    """Return the root of v^T w for every column, in units that do not overflow."""
     a, b = (np.abs(x).max(axis=0, initial=0.0) for x in (v, w))
     a[a == 0], b[b == 0] = 1.0, 1.0
     inner = np.einsum("ij,ij->j", v / a, w / b)
     return np.sqrt(np.maximum(inner, 0.0)) * np.sqrt(a) * np.sqrt(b)
 
 
-def _check(found: Converged) -> None:
-    if not found.residual < 1:
-        raise np.linalg.LinAlgError(
-            f"conjugate gradients diverge (relative residual {found.residual:.1e})"
-        )
-
-
-def _few_columns(
-    sections: KernelSections, solver: ConjugateGradient
-) -> tuple[Array, float]:
-    F, left = pivoted_factor(
-        lambda pivots: matrix(sections.take(pivots), sections.centers),
-        sections.smooth_diagonal(sections.centers),
-        solver.rank,
-        check_random_state(solver.random_state),
-    )
-    # Rounding leaves this much where the columns say that nothing is left.
-    return F, left + 1e-14 * len(F)
-
-
 def _dense_root(sections: KernelSections) -> Array:
     """Return W with W^T W close to the inverse of the Gram matrix, singular or not."""
-    centers = sections.centers
-    K, _, _ = gram_matrix(sections, centers, np.zeros(len(centers)))
-    size = float(K.diagonal().max()) * len(K) * float(np.finfo(np.float64).eps)
-    info = 1
-    while info != 0:
+    K, _, _ = gram_matrix(sections, np.zeros(sections.size))
+    shift = float(K.diagonal().max()) * len(K) * float(np.finfo(np.float64).eps)
+    while True:
         F = K.copy(order="F")
-        F[np.diag_indices(len(F))] += size
-        lower, info = cholesky(F, lower=True)
-        size *= 100
-    return np.tril(dtrtri(lower, lower=1)[0])
+        F[np.diag_indices(len(F))] += shift
+        try:
+            return np.tril(dtrtri(cholesky(F, lower=True), lower=1)[0])
+        except np.linalg.LinAlgError:
+            shift *= 100
 
 
-def _squared(W: csr_array | Array, inner: Product = lambda v: v) -> Product:
+def _whiten(W: csr_array | Array, inner: Product = lambda v: v) -> Product:
     """Return v -> W^T inner(W v)."""
     WT = W.T if isinstance(W, np.ndarray) else W.T.tocsr()
     return lambda v: WT @ inner(W @ v)
-
-
-def _n_neighbors(sections: KernelSections, solver: ConjugateGradient) -> int:
-    if solver.n_neighbors is not None:
-        return solver.n_neighbors
-    return COMPACT_NEIGHBORS if sections.is_compact else NEIGHBORS
-
-
-def interpolate(
-    basis: ImplicitBasis, u: Array
-) -> tuple[Solution[ImplicitBasis], Converged]:
-    """Interpolate u at the centres; meets u - E c with an excess E."""
-    found = basis.solve(u)
-    dual = found.x
-    trend = np.empty((0, u.shape[1]))
-    if basis.tail is not None:
-        trend = basis.trend(u - basis.product(dual))
-    # c^T K c, since c is orthogonal to the polynomials.
-    seminorm = _root_of_product(dual, u)
-    kept = np.arange(len(dual))
-    return Solution(basis, kept, dual, trend, seminorm, len(dual), 0.0), found
-
-
-def regress(
-    basis: ImplicitBasis, X: Array, y: Array, alpha: float, n_jobs: int | None
-) -> tuple[Solution[ImplicitBasis], Converged]:
-    """Fit y on all rows of X by least squares.
-
-    With k = k(X, Xi), and T the values of the polynomials, the coefficients c minimise
-
-        |y - k c - T b|^2 + alpha c^T K c    with    P^T c = 0.
-
-    The polynomials are taken off y and k by projection. As in FALKON (Rudi, Carratino
-    and Rosasco 2017), the rows are taken for spread as the centres are, so that the
-    matrix k^T k + alpha K is nearly K (n/M K + alpha): with W^T W close to the inverse
-    of K and F F^T close to K, it is preconditioned by
-
-        W^T (n/M H H^T + (alpha + n/M left) I)^-1 W,    H H^T = W F F^T F F^T W^T.
-    """
-    sections = basis.sections
-    centers = sections.centers
-    M, n = len(centers), len(X)
-    T = np.empty((n, 0))
-    if basis.tail is not None:
-        terms = np.hstack([basis.tail.seen, basis.tail.unseen])
-        T = polynomial(X, basis.tail.origin, terms)
-        length = np.sqrt(np.einsum("ij,ij->j", T, T))
-        told = length > 0
-        unit = np.zeros_like(length)
-        unit[told] = 1 / length[told]
-        Q, size, axes = np.linalg.svd(T * unit, full_matrices=False)
-        axes = unit[:, np.newaxis] * axes[size > 1e-7].T / size[size > 1e-7]
-        T = Q[:, size > 1e-7]
-    sparse = is_sparse(sections, X, KEPT)
-    k: csr_array | None = sparse_matrix(sections, X) if sparse else None
-    kT = k.T.tocsr() if k is not None else None
-
-    def forward(c: Array) -> Array:
-        return k @ c if k is not None else product(sections, X, c, n_jobs)
-
-    def backward(v: Array) -> Array:
-        if kT is not None:
-            return kT @ v
-        return _transposed_product(sections, X, v)
-
-    def normal(c: Array) -> Array:
-        return backward(complement(T, forward(c))) + alpha * basis.product(c)
-
-    W: csr_array | Array | None = basis.W
-    if not sparse and M <= DENSE_CENTERS:
-        W = _dense_root(sections)
-    elif W is None:
-        W = neighbor_preconditioner(
-            sections.kernel,
-            centers,
-            sections.diagonal(centers),
-            _n_neighbors(sections, basis.solver),
-        )
-    F, left = np.zeros((M, 0)), 1.0
-    if not sparse:
-        F, left = _few_columns(sections, basis.solver)
-    values, vectors = np.linalg.eigh(F.T @ F)
-    H = np.sqrt(n / M) * (W @ (F @ (vectors * np.sqrt(np.maximum(values, 0.0)))))
-    inner = low_rank_inverse(H, alpha + n / M * left)
-    # The trace of the matrix H that takes y to fitted values is that of its mean over
-    # random vectors v, v^T H v (Hutchinson 1989).
-    random = check_random_state(basis.solver.random_state)
-    signs = random.choice([-1.0, 1.0], size=(n, PROBES if alpha > 0 else 0))
-    b = backward(beyond_rounding(np.hstack([y, signs]), T))
-    found = conjugate_gradients(
-        normal,
-        b,
-        _squared(W, inner),
-        basis.Q,
-        basis.solver.tol,
-        basis.solver.max_iter,
-    )
-    _check(found)
-    dual = np.ascontiguousarray(found.x[:, : y.shape[1]])
-    trend = np.empty((0, y.shape[1]))
-    if basis.tail is not None:
-        rest = y - forward(dual)
-        trend = terms @ (axes @ (T.T @ rest))
-    fitted = float(M - basis.Q.shape[1])
-    if alpha > 0:
-        probes = slice(y.shape[1], None)
-        fitted = np.einsum("ij,ij->", b[:, probes], found.x[:, probes]) / PROBES
-    freedom = fitted + T.shape[1]
-    seminorm = _root_of_product(dual, basis.product(dual))
-    solution = Solution(basis, np.arange(M), dual, trend, seminorm, freedom, 0.0)
-    return solution, found
-
-
-def _transposed_product(sections: KernelSections, X: Array, v: Array) -> Array:
-    """Evaluate k(X, Xi)^T v: the sections of the rows, at the centres."""
-    return product(KernelSections(sections.kernel, X), sections.centers, v)

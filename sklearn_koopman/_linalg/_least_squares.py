@@ -1,6 +1,6 @@
-"""Normal equations of least squares over the functions of a native basis.
+"""Normal equations of least squares over the functions of a direct system.
 
-With the values A of a(x), less their part along Q, and T of all polynomials on the
+With the values A of a(x), less their part along Q, and T of the polynomials on the
 rows, they are
 
     [A A^T + alpha I   A T^T] [z]   [A y]
@@ -14,15 +14,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from joblib import effective_n_jobs
 from scipy.linalg.blas import dgemm
-from scipy.linalg.lapack import dpocon, dpotri, dpotrs
+from scipy.linalg.lapack import dpotri, dpotrs
 from sklearn.utils import gen_batches
 from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_koopman._linalg._cholesky import NativeBasis, block_rows, cholesky
+from sklearn_koopman._linalg._cholesky import (
+    RCOND_TO_VERIFY,
+    cholesky,
+    exact_rcond,
+    rows_per_block,
+)
+from sklearn_koopman._matrices._sections import Sections
 from sklearn_koopman._utils._typing import Array
 
 # The outputs of a slice of the rows, so that many need not be held at once.
@@ -31,10 +38,25 @@ Outputs = Callable[[slice], Array]
 # The loop stays with SciPy's BLAS: NumPy's wheels bring one of their own, and the idle
 # threads of either slow down the other several times.
 
-# Below this reciprocal condition number of the basis, its solutions are not trusted.
-SUSPECT = 1e-10
-# Products for which it is worth while to start workers: below, BLAS has threads.
-PARALLEL_WORK = 1e11
+# Operations from which on it is worth while to start workers: below, BLAS has threads.
+PARALLEL_OPERATIONS = 1e11
+# Normal matrices with a smaller reciprocal condition number count as singular.
+MIN_RCOND = 1e-13
+# Polynomials of length one, of which less than this part of the squared length is left
+# beside the kernel part, are not determined by the rows.
+MIN_SQUARED_LENGTH = 1e-14
+
+
+class OrthonormalBasis(Protocol):
+    """What the equations need of a direct system."""
+
+    sections: Sections
+    lower: Array
+    rcond_bound: float
+    Q: Array
+
+    def design(self, X: Array) -> tuple[Array, Array]:
+        """Evaluate a(x) less its part along Q, and the polynomials."""
 
 
 @dataclass
@@ -56,10 +78,12 @@ class NormalEquations:
     diagonal: float  # sum of k(x, x)
 
     @classmethod
-    def empty(cls, basis: NativeBasis, upper: Array, n_outputs: int) -> NormalEquations:
+    def empty(
+        cls, basis: OrthonormalBasis, upper: Array, n_outputs: int
+    ) -> NormalEquations:
         """Return the sums over no rows."""
         M = len(upper)
-        n_terms = 0 if basis.tail is None else len(basis.tail.seen)
+        n_terms = basis.Q.shape[1]
         for panel in _panels(M):
             upper[: panel.start, panel] = 0.0
         return cls(
@@ -77,16 +101,10 @@ class NormalEquations:
         """Return a copy that shares nothing."""
         return deepcopy(self)
 
-    def widen(self, n_terms: int) -> None:
-        """Take in polynomials that were zero on all rows."""
-        self.AT = np.pad(self.AT, ((0, 0), (0, n_terms)))
-        self.Ty = np.pad(self.Ty, ((0, n_terms), (0, 0)))
-        self.TT = np.pad(self.TT, (0, n_terms))
-
-    def add(self, basis: NativeBasis, X: Array, y: Outputs) -> None:
+    def add(self, basis: OrthonormalBasis, X: Array, y: Outputs) -> None:
         """Add rows."""
         panels = _panels(len(self.upper))
-        for rows in gen_batches(len(X), block_rows(len(self.upper))):
+        for rows in gen_batches(len(X), rows_per_block(len(self.upper))):
             a, t = basis.design(X[rows])
             values = y(rows)
             self.Ay += dgemm(1.0, a, values)
@@ -113,7 +131,7 @@ class NormalEquations:
         self.diagonal += other.diagonal
 
     def solve(
-        self, basis: NativeBasis, alpha: float, F: Array
+        self, basis: OrthonormalBasis, alpha: float, F: Array
     ) -> tuple[Array, Array, float]:
         """Return the solution, with F as working memory.
 
@@ -124,9 +142,10 @@ class NormalEquations:
         z : ndarray of shape (M, n_outputs)
             Coordinates of the kernel part.
         b : ndarray of shape (n_terms, n_outputs)
-            Coordinates of the polynomials: those the centres see, then the others.
-        freedom : float
-            Trace of the matrix that takes y to the fitted values.
+            Coordinates of the polynomials.
+        dof : float
+            Effective number of parameters: the trace of the matrix that takes y
+            to the fitted values.
         """
         M, q = len(F), basis.Q.shape[1]
         Ay, AT, Ty, TT = self.Ay, self.AT, self.Ty, self.TT
@@ -147,12 +166,16 @@ class NormalEquations:
             block[np.diag_indices_from(block)] += alpha
             F[panel, panel] = np.triu(block) + np.tril(F[panel, panel], -1)
 
-        _, info = cholesky(F, lower=False)
+        limit = min(MIN_RCOND, 1e-6 * basis.rcond_bound)
         norm = trace + q * along_Q + M * alpha
-        rcond = 0.0 if info else float(dpocon(F, norm, uplo="U")[0])
-        if info or rcond < min(1e-13, 1e-6 * basis.rcond):
+        try:
+            cholesky(F, lower=False)
+            is_regular = exact_rcond(F, norm, lower=False) >= limit
+        except np.linalg.LinAlgError:
+            is_regular = False
+        if not is_regular:
             np.fill_diagonal(F, lower_diagonal)
-            if basis.rcond < SUSPECT:
+            if basis.rcond_bound < RCOND_TO_VERIFY:
                 raise np.linalg.LinAlgError(
                     "the normal matrix is not positive definite"
                 )
@@ -164,25 +187,25 @@ class NormalEquations:
         solved, _ = dpotrs(F, np.hstack([AT, Ay]), lower=0)
         N_AT, N_Ay = solved[:, :n_terms], solved[:, n_terms:]
         # In units in which every polynomial has length one on the rows. Those that the
-        # rows do not tell from the kernel part, or at all, are left at zero.
+        # rows do not distinguish from the kernel part, or at all, are left at zero.
         length = np.sqrt(TT.diagonal())
         unit = np.divide(1.0, length, out=np.zeros(n_terms), where=length > 0)
-        size, axes = np.linalg.eigh(unit[:, np.newaxis] * (TT - AT.T @ N_AT) * unit)
-        told = size > 1e-14
-        axes = unit[:, np.newaxis] * axes[:, told]
-        inverse = axes / size[told] @ axes.T
+        lengths, axes = np.linalg.eigh(unit[:, np.newaxis] * (TT - AT.T @ N_AT) * unit)
+        determined = lengths > MIN_SQUARED_LENGTH
+        axes = unit[:, np.newaxis] * axes[:, determined]
+        inverse = axes / lengths[determined] @ axes.T
         b = inverse @ (Ty - AT.T @ N_Ay)
         z = N_Ay - N_AT @ b
         z -= basis.Q @ (basis.Q.T @ z)
 
-        freedom = float(told.sum() + M - q)
+        dof = float(determined.sum() + M - q)
         if alpha > 0:
             dpotri(F, lower=0, overwrite_c=1)
             shrunk = F.diagonal().sum() - q / (alpha + along_Q)
             shrunk += np.sum(inverse * (N_AT.T @ N_AT))
-            freedom -= float(alpha * shrunk)
+            dof -= float(alpha * shrunk)
         np.fill_diagonal(F, lower_diagonal)
-        return z, b, freedom
+        return z, b, dof
 
     def residual_norms(self, z: Array, b: Array) -> Array:
         """Return |y - A^T z - T^T b| for every output.
@@ -201,17 +224,8 @@ class NormalEquations:
         return np.sqrt(np.maximum(squared, 0.0))
 
 
-def too_few_rows(n_rows: int, n_centers: int) -> ValueError:
-    """Return the error of least squares without a penalty on so few rows."""
-    return ValueError(
-        f"method='least_squares' with alpha=0 needs at least as many rows as centres, "
-        f"got {n_rows} rows and {n_centers} centres; set alpha > 0 or choose fewer "
-        "centres."
-    )
-
-
 def least_squares(
-    basis: NativeBasis,
+    basis: OrthonormalBasis,
     X: Array,
     y: Outputs,
     n_outputs: int,
@@ -225,17 +239,18 @@ def least_squares(
 
 
 def normal_equations(
-    basis: NativeBasis,
+    basis: OrthonormalBasis,
     upper: Array,
     X: Array,
     y: Outputs,
     n_outputs: int,
     n_jobs: int | None = None,
+    parallel_operations: float = PARALLEL_OPERATIONS,
 ) -> NormalEquations:
     """Sum up all rows; by joblib's workers, a share of the rows each, if asked."""
     equations = NormalEquations.empty(basis, upper, n_outputs)
     n_workers = effective_n_jobs(n_jobs)
-    if n_workers == 1 or len(X) * len(upper) ** 2 < PARALLEL_WORK:
+    if n_workers == 1 or len(X) * len(upper) ** 2 < parallel_operations:
         equations.add(basis, X, y)
         return equations
     try:
@@ -251,7 +266,7 @@ def normal_equations(
     return equations
 
 
-def _share(basis: NativeBasis, X: Array, y: Array) -> NormalEquations:
+def _share(basis: OrthonormalBasis, X: Array, y: Array) -> NormalEquations:
     upper = np.empty(basis.lower.shape, order="F")
     equations = NormalEquations.empty(basis, upper, y.shape[1])
     equations.add(basis, X, y.__getitem__)

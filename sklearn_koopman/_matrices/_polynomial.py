@@ -2,70 +2,60 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from sklearn.utils import gen_batches
 
 from sklearn_koopman._utils._typing import Array, Mask
 
 DEGREES: dict[str | None, int | None] = {None: None, "constant": 0, "linear": 1}
 
+# A feature counts as constant if it varies by less than this part of its mean: such a
+# variation is rounding, and no direction to extrapolate in.
+CONSTANT = 1e-13
+# Singular values of the monomials at the centres below this part of the largest one
+# count as zero.
+DEPENDENT = 1e-10
 
-@dataclass(frozen=True)
-class PolynomialTrend:
-    """Polynomials of degree 0 or 1, sorted by what the centres tell of them.
 
-    As coefficients of the monomials, which are 1, and x - origin for degree 1: `seen`
-    holds q polynomials that are orthonormal on the centres, `unseen` those that vanish
-    there, as some do where the centres are few or a feature is constant on them.
+class PolynomialTrend(NamedTuple):
+    """Polynomials that are orthonormal on the centres.
+
+    Their coefficients belong to the monomials, which are 1 and, for a linear trend,
+    x - origin.
     """
 
     origin: Array
-    seen: Array  # (n_terms, q)
-    unseen: Array  # (n_terms, n_terms - q)
+    coefficients: Array  # (n_terms, q)
+    is_determined: bool  # False if other polynomials vanish on the centres only
 
     @classmethod
-    def on(cls, centers: Array, degree: int, rows: Array) -> PolynomialTrend:
+    def at(
+        cls, centers: Array, degree: int, extent: Array | None = None
+    ) -> PolynomialTrend:
+        """Return the polynomials that the centres determine.
+
+        Features without an extent, from their smallest to their largest value, are
+        constant and left out. By default the extent is that of the centres.
+        """
         n_centers, n_features = centers.shape
         if degree == 0:
-            seen = np.full((1, 1), 1 / np.sqrt(n_centers))
-            return cls(np.zeros(n_features), seen, np.empty((1, 0)))
+            constant = np.full((1, 1), 1 / np.sqrt(n_centers))
+            return cls(np.zeros(n_features), constant, True)
         origin = centers.mean(axis=0)
-        scale = np.max(
-            [
-                np.abs(rows[batch] - origin).max(axis=0)
-                for batch in gen_batches(len(rows), 2**13)
-            ],
-            axis=0,
-        )
-        # What rounding leaves of a constant feature is no direction to extrapolate in.
-        varies = scale > 1e-13 * np.abs(origin)
+        scale = np.abs((centers if extent is None else extent) - origin).max(axis=0)
+        varies = scale > CONSTANT * np.abs(origin)
         inverse = np.divide(1.0, scale, out=np.zeros(n_features), where=varies)
         monomials = np.hstack([np.ones((n_centers, 1)), (centers - origin) * inverse])
-        # All directions, also those that few centres do not see.
-        few = n_centers <= n_features
-        _, singular, directions = np.linalg.svd(monomials, full_matrices=few)
-        rank = int((singular > 1e-10 * singular[0]).sum())
-        coefficients = np.vstack(
-            [directions.T[:1], directions.T[1:] * inverse[:, None]]
-        )
-        return cls(
-            origin, coefficients[:, :rank] / singular[:rank], coefficients[:, rank:]
-        )
+        _, singular, directions = np.linalg.svd(monomials, full_matrices=False)
+        rank = int((singular > DEPENDENT * singular[0]).sum())
+        inverse = np.append(1.0, inverse)
+        coefficients = directions[:rank].T * inverse[:, np.newaxis] / singular[:rank]
+        return cls(origin, coefficients, rank == 1 + int(varies.sum()))
 
-    def beyond(self, X: Array) -> Mask:
-        """Tell in which rows polynomials that the centres do not see are not zero."""
-        coefficients = np.hstack([self.seen, self.unseen])[1:]
-        n = len(coefficients)
-        # Features in which the centres agree have none.
-        constant = np.asarray(np.abs(coefficients).sum(axis=1) == 0)
-        origin = self.origin[:n]
-        away = np.abs(X[:, :n] - origin)
-        moved = away[:, constant] > 1e-12 * np.abs(origin[constant])
-        left = np.abs(polynomial(X, self.origin, self.unseen))
-        size = 1 + away @ np.abs(self.unseen[1:])
-        return np.asarray(moved.any(axis=1) | (left > 1e-9 * size).any(axis=1))
+    def values(self, X: Array) -> Array:
+        """Evaluate the polynomials; of shape (n_rows, q)."""
+        return polynomial(X, self.origin, self.coefficients)
 
 
 def polynomial(X: Array, origin: Array, coefficients: Array) -> Array:
@@ -73,3 +63,20 @@ def polynomial(X: Array, origin: Array, coefficients: Array) -> Array:
     if len(coefficients) == 1:
         return np.repeat(coefficients, len(X), axis=0)
     return coefficients[0] + (X - origin) @ coefficients[1:]
+
+
+def is_undetermined(X: Array, centers: Array) -> Mask:
+    """Tell at which rows some linear function that vanishes on the centres does not."""
+    origin = centers.mean(axis=0)
+    scale = np.abs(centers - origin).max(axis=0)
+    constant = scale <= CONSTANT * np.abs(origin)
+    moved = np.abs(X - origin)[:, constant] > 10 * CONSTANT * np.abs(origin[constant])
+    P, p = (
+        np.hstack([np.ones((len(x), 1)), (x - origin)[:, ~constant] / scale[~constant]])
+        for x in (centers, X)
+    )
+    directions = np.linalg.svd(P, full_matrices=False)
+    rank = int((DEPENDENT * directions.S[0] < directions.S).sum())
+    V = directions.Vh[:rank]
+    left = np.abs(p - p @ V.T @ V).max(axis=1)
+    return moved.any(axis=1) | (left > 1e-9 * np.abs(p).sum(axis=1))

@@ -1,16 +1,15 @@
-"""Kernel sections of centres, and the matrices and sums that are made of them.
+"""Kernel sections of centres, their matrices, and functions that are sums of them.
 
-Kernel matrices are evaluated tile by tile. A tile and its working memory stay in the
-cache, and are the same arrays throughout: the operating system would otherwise map
-new ones for every tile, which takes longer than the kernel.
+A kernel section is the function k(., xi) of one centre xi. Kernel matrices are
+evaluated tile by tile. A tile and its working memory stay in the cache, and are the
+same arrays throughout: the operating system would otherwise map new ones for every
+tile, which takes longer than the kernel.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from joblib import effective_n_jobs
@@ -21,6 +20,7 @@ from sklearn.utils import gen_batches
 from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_koopman._matrices import _sparse
+from sklearn_koopman._matrices._polynomial import polynomial
 from sklearn_koopman._utils._parallel import by_rows, one_thread
 from sklearn_koopman._utils._typing import Array, Indices
 from sklearn_koopman.kernels import FAR, RadialKernel
@@ -28,36 +28,38 @@ from sklearn_koopman.kernels import FAR, RadialKernel
 # Writes k(X[rows], Xi[columns]) to an array of that shape.
 Tiles = Callable[[slice, slice, Array], None]
 
-# Entries and rows of a tile: 256 kB, as much again for the distances.
-TILE = 2**15
+# A tile has 256 kB, and its distances as much again.
+TILE_ENTRIES = 2**15
 TILE_ROWS = 64
-# Below this part of entries that are not zero, looking for them is the quicker way ...
-SPARSE = 0.01
-# ... for so many rows at a time.
+# With a smaller share of entries that are not zero, a sparse product is faster.
+SPARSE_DENSITY = 0.01
+# Rows of a sparse matrix that are held at once.
 SPARSE_ROWS = 2**14
-# Entries for which it is worth the 0.1 ms that it takes to hold BLAS to one thread:
-# several would wait for each other at every tile.
-LONG = 2**19
-# With more features than this, distances by matrix products are the faster ones.
-FEW_FEATURES = 4
+# With fewer entries, the 0.1 ms that limiting BLAS to one thread takes do not pay.
+ENTRIES_TO_LIMIT_THREADS = 2**19
+# With more features, matrix products give the distances faster than differences do.
+MAX_FEATURES_FOR_DIFFERENCES = 4
 # Products lose the digits of distances far below the size of the states, in units of
-# the scale: those below this part of it are computed anew ...
+# the scale: smaller ones than this part of it are computed anew ...
 NEAR = 1e-6
-# ... and all of them, where the squared size is beyond this.
-WIDE = 1e3
+# ... and all of them where the squared size is larger than this.
+MAX_SQUARED_SIZE_FOR_PRODUCTS = 1e3
 
 
 class Sections(Protocol):
-    """The kernel sections of M centres, as functions of rows."""
+    """The kernel sections of M centres."""
 
     @property
     def kernel(self) -> Any:
         """The kernel."""
 
-    def __len__(self) -> int: ...
+    @property
+    def size(self) -> int:
+        """The number M of centres."""
 
-    def __call__(self, X: Array) -> Array:
-        """Return k(X, Xi)."""
+    @property
+    def points(self) -> Array:
+        """The centres, as rows at which the sections can be evaluated."""
 
     def take(self, kept: Indices) -> Sections:
         """Return the sections of some of the centres."""
@@ -66,38 +68,28 @@ class Sections(Protocol):
         """Return k(x, x) for every row."""
 
     def smooth_diagonal(self, X: Array) -> Array:
-        """Return k(x, x) as for two states that are equal by chance: without noise."""
+        """Return k(x, x) without the noise terms of the kernel."""
 
     def tiles(self, X: Array, exact: bool = True) -> Tiles:
-        """Return the tiles of k(X, Xi); exact to the last digits unless told not."""
+        """Return a function that fills tiles of k(X, Xi).
+
+        `exact` asks for the last digits, as factorisations need them.
+        """
 
 
-@dataclass(frozen=True)
-class KernelSections:
-    """Kernel sections of centres given by their coordinates."""
+class KernelSections(NamedTuple):
+    """Sections of centres that are given by their coordinates."""
 
     kernel: Any
     centers: Array
 
-    def __len__(self) -> int:
+    @property
+    def size(self) -> int:
         return len(self.centers)
 
-    def __call__(self, X: Array) -> Array:
-        return matrix(self, X)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {"kernel": self.kernel, "centers": self.centers}
-
-    @cached_property
-    def tree(self) -> KDTree:
-        """The centres in units of the scale, for kernels of compact support."""
-        return _sparse.kd_tree(self.kernel, self.centers)
-
     @property
-    def is_compact(self) -> bool:
-        """Whether k(x, xi) is zero from some distance on."""
-        radial = isinstance(self.kernel, RadialKernel)
-        return radial and bool(np.isfinite(self.kernel.support_radius))
+    def points(self) -> Array:
+        return self.centers
 
     def take(self, kept: Indices) -> KernelSections:
         return KernelSections(self.kernel, self.centers[kept])
@@ -125,21 +117,23 @@ class KernelSections:
         return fill
 
 
-@dataclass(frozen=True)
-class DistanceSections:
-    """Sections of an isotropic kernel, where rows hold distances to the centres."""
+class PrecomputedSections(NamedTuple):
+    """Sections of a kernel of the distance, where rows hold distances to the centres.
+
+    `columns` are the places of the centres in a row. `points` are the rows of the
+    centres themselves; without them nothing can be factored.
+    """
 
     kernel: Any
     columns: Indices
+    points: Array
 
-    def __len__(self) -> int:
+    @property
+    def size(self) -> int:
         return len(self.columns)
 
-    def __call__(self, X: Array) -> Array:
-        return matrix(self, X)
-
-    def take(self, kept: Indices) -> DistanceSections:
-        return DistanceSections(self.kernel, self.columns[kept])
+    def take(self, kept: Indices) -> PrecomputedSections:
+        return PrecomputedSections(self.kernel, self.columns[kept], self.points[kept])
 
     def diagonal(self, X: Array) -> Array:
         return np.repeat(self.kernel.diag(np.zeros((1, 1))), len(X))
@@ -153,26 +147,57 @@ class DistanceSections:
 
         def fill(rows: slice, columns: slice, out: Array) -> None:
             distances = X[rows][:, self.columns[columns]]
-            # On a line, the distance from the origin is all there is to a point.
+            # On a line, a point is given by its distance from the origin.
             values = self.kernel(distances.reshape(-1, 1), origin)
             out[...] = values.reshape(out.shape)
 
         return fill
 
 
+class KernelExpansion(NamedTuple):
+    """The function f(x) = k(x, Xi) dual_coef + (1, x - origin) trend_coef.
+
+    Columns of the coefficients belong to outputs. `trend_coef` has no rows where there
+    is no trend, and one for a constant.
+    """
+
+    sections: Sections
+    dual_coef: Array  # (M, n_outputs)
+    origin: Array
+    trend_coef: Array  # (n_terms, n_outputs)
+
+    def __call__(self, X: Array, n_jobs: int | None = None) -> Array:
+        """Evaluate the function at the rows of X; O(n M) operations."""
+        values = product(self.sections, X, self.dual_coef, n_jobs)
+        if len(self.trend_coef):
+            values += polynomial(X, self.origin, self.trend_coef)
+        return values
+
+    def combine(self, weights: Array) -> KernelExpansion:
+        """Return linear combinations of the outputs."""
+        return self._replace(
+            dual_coef=self.dual_coef @ weights, trend_coef=self.trend_coef @ weights
+        )
+
+    def take(self, outputs: Indices | slice) -> KernelExpansion:
+        """Return the function of some of the outputs."""
+        return self._replace(
+            dual_coef=self.dual_coef[:, outputs],
+            trend_coef=self.trend_coef[:, outputs],
+        )
+
+
 def matrix(sections: Sections, X: Array) -> Array:
     """Evaluate k(X, Xi)."""
-    K = np.empty((len(X), len(sections)))
+    K = np.empty((len(X), sections.size))
     fill = sections.tiles(X)
-    work = np.empty(TILE)
-    for rows, columns in _grid(len(X), len(sections)):
+    work = np.empty(TILE_ENTRIES)
+    for rows, columns in _grid(len(X), sections.size):
         K[rows, columns] = _filled(fill, rows, columns, work)
     return K
 
 
-def gram_matrix(
-    sections: Sections, points: Array, nugget: Array
-) -> tuple[Array, Array, float]:
+def gram_matrix(sections: Sections, nugget: Array) -> tuple[Array, Array, float]:
     """Assemble the lower triangle of the Gram matrix plus a diagonal.
 
     Returns
@@ -185,15 +210,15 @@ def gram_matrix(
     norm : float
         Its 1-norm.
     """
-    n = len(points)
+    points, n = sections.points, sections.size
     K = np.empty((n, n))
-    fill, work = sections.tiles(points), np.empty(TILE)
+    fill, work = sections.tiles(points), np.empty(TILE_ENTRIES)
     sums = np.zeros(n)
     for rows in _slices(0, n, TILE_ROWS):
         corner = _filled(fill, rows, rows, work)
         K[rows, rows] = corner
         sums[rows] += np.abs(corner, out=corner).sum(axis=1)
-        for columns in _slices(rows.stop, n, TILE // TILE_ROWS):
+        for columns in _slices(rows.stop, n, TILE_ENTRIES // TILE_ROWS):
             tile = _filled(fill, rows, columns, work)
             K[rows, columns] = tile
             np.abs(tile, out=tile)
@@ -210,61 +235,69 @@ def product(
     sections: Sections, X: Array, dual: Array, n_jobs: int | None = None
 ) -> Array:
     """Evaluate k(X, Xi) @ dual without holding k(X, Xi)."""
+    tree = sparse_tree(sections, X)
+    if tree is not None:
 
-    def evaluated_sparsely(X: Array) -> Array:
-        return sparse_matrix(sections, X) @ dual
+        def evaluate_sparsely(X: Array) -> Array:
+            return sparse_matrix(sections, X, tree) @ dual
 
-    if is_sparse(sections, X):
-        return by_rows(evaluated_sparsely, X, SPARSE_ROWS, n_jobs)
+        return by_rows(evaluate_sparsely, X, SPARSE_ROWS, n_jobs)
 
-    def evaluated(X: Array) -> Array:
+    def evaluate(X: Array) -> Array:
         values = np.zeros((len(X), dual.shape[1]))
-        fill, work = sections.tiles(X, exact=False), np.empty(TILE)
-        for rows, columns in _grid(len(X), len(sections)):
+        fill, work = sections.tiles(X, exact=False), np.empty(TILE_ENTRIES)
+        for rows, columns in _grid(len(X), sections.size):
             values[rows] += _filled(fill, rows, columns, work) @ dual[columns]
         return values
 
     # Scaled copies of the rows are made once a slab, of whole tiles: sums of exact ones
     # do not depend on the number of threads.
-    height = _height(len(sections))
+    height = _height(sections.size)
     n_tiles = -(-len(X) // (8 * effective_n_jobs(n_jobs) * height))
     n_rows = min(n_tiles, max(2**16 // height, 1)) * height
-    if len(X) * len(sections) < LONG:
-        return by_rows(evaluated, X, n_rows, n_jobs)
+    if len(X) <= n_rows and len(X) * sections.size < ENTRIES_TO_LIMIT_THREADS:
+        return evaluate(X)
     with one_thread():
-        return by_rows(evaluated, X, n_rows, n_jobs)
+        return by_rows(evaluate, X, n_rows, n_jobs)
 
 
-def is_sparse(sections: Sections, X: Array, below: float = SPARSE) -> bool:
-    """Tell whether less than this part of k(X, Xi), of many entries, is not zero."""
-    return (
-        isinstance(sections, KernelSections)
-        and sections.is_compact
-        and len(sections) * min(len(X), TILE_ROWS) > TILE
-        and _sparse.density(sections.kernel, sections.tree, X) < below
-    )
+def sparse_tree(
+    sections: Sections, X: Array, density: float = SPARSE_DENSITY
+) -> KDTree | None:
+    """Return a tree of the centres if a smaller part of k(X, Xi) is not zero.
+
+    For few rows or centres, building the tree takes longer than all of the matrix.
+    """
+    if not (
+        len(X) >= TILE_ROWS
+        and sections.size > TILE_ENTRIES // TILE_ROWS
+        and isinstance(sections, KernelSections)
+        and isinstance(sections.kernel, RadialKernel)
+        and np.isfinite(sections.kernel.support_radius)
+    ):
+        return None
+    tree = _sparse.kd_tree(sections.kernel, sections.centers)
+    return tree if _sparse.density(sections.kernel, tree, X) < density else None
 
 
-def sparse_matrix(sections: Sections, X: Array) -> csr_array:
+def sparse_matrix(sections: Sections, X: Array, tree: KDTree) -> csr_array:
     """Evaluate k(X, Xi) where it is not zero."""
-    assert isinstance(sections, KernelSections)
-    return _sparse.cross(sections.kernel, X, sections.centers, sections.tree)
+    return _sparse.cross(sections.kernel, X, sections.points, tree)
 
 
-def gram_product(
-    sections: Sections, points: Array, V: Array, n_jobs: int | None = None
-) -> Array:
+def gram_product(sections: Sections, V: Array, n_jobs: int | None = None) -> Array:
     """Evaluate k(Xi, Xi) @ V without holding the matrix, from one triangle."""
-    n, n_workers = len(points), effective_n_jobs(n_jobs)
+    points, n = sections.points, sections.size
+    n_workers = effective_n_jobs(n_jobs)
 
     def share(first: int) -> Array:
         """Return the sums over every so many rows of tiles."""
         sums = np.zeros_like(V)
-        fill, work = sections.tiles(points, exact=False), np.empty(TILE)
+        fill, work = sections.tiles(points, exact=False), np.empty(TILE_ENTRIES)
         for start in range(first * TILE_ROWS, n, n_workers * TILE_ROWS):
             rows = slice(start, min(start + TILE_ROWS, n))
             sums[rows] += _filled(fill, rows, rows, work) @ V[rows]
-            for columns in _slices(rows.stop, n, TILE // TILE_ROWS):
+            for columns in _slices(rows.stop, n, TILE_ENTRIES // TILE_ROWS):
                 tile = _filled(fill, rows, columns, work)
                 sums[rows] += tile @ V[columns]
                 sums[columns] += tile.T @ V[rows]
@@ -286,12 +319,12 @@ def gram_product(
 def _grid(n_rows: int, n_columns: int) -> Iterator[tuple[slice, slice]]:
     """Divide a matrix into tiles, row by row."""
     for rows in _slices(0, n_rows, _height(n_columns)):
-        for columns in _slices(0, n_columns, TILE // (rows.stop - rows.start)):
+        for columns in _slices(0, n_columns, TILE_ENTRIES // (rows.stop - rows.start)):
             yield rows, columns
 
 
 def _height(n_columns: int) -> int:
-    return max(TILE_ROWS, TILE // n_columns)
+    return max(TILE_ROWS, TILE_ENTRIES // n_columns)
 
 
 def _filled(fill: Tiles, rows: slice, columns: slice, work: Array) -> Array:
@@ -312,9 +345,13 @@ def _radial_tiles(kernel: RadialKernel, X: Array, centers: Array, exact: bool) -
     # and equal rows stay at distance exactly zero.
     x, c = X / kernel.beta, centers / kernel.beta
     extent = float(max(np.abs(x).max(initial=0.0), np.abs(c).max(initial=0.0)))
-    work = np.empty(TILE)
+    work = np.empty(TILE_ENTRIES)
     by_products = None
-    if not exact and n_features > FEW_FEATURES and extent < WIDE:
+    if (
+        not exact
+        and n_features > MAX_FEATURES_FOR_DIFFERENCES
+        and extent < MAX_SQUARED_SIZE_FOR_PRODUCTS
+    ):
         by_products = _distances_by_products(x, c)
 
     def fill(rows: slice, columns: slice, out: Array) -> None:
@@ -346,7 +383,7 @@ def _distances_by_products(
     left_squared = np.einsum("ij,ij->i", left, left)
     right_squared = np.einsum("ij,ij->i", right, right)
     size = float(left_squared.max(initial=0.0) + right_squared.max())
-    if size > WIDE:
+    if size > MAX_SQUARED_SIZE_FOR_PRODUCTS:
         return None
     left = np.column_stack([-2 * left, left_squared, np.ones(len(x))])
     right = np.vstack([right.T, np.ones(len(c)), right_squared])

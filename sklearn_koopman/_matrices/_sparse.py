@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.spatial import KDTree
 
 from sklearn_koopman._utils._typing import Array, Indices
 from sklearn_koopman.kernels import RadialKernel
 
 # Rows from which the density of a matrix is estimated.
-SAMPLED = 256
+SAMPLED_ROWS = 256
 # Entries that are evaluated at once.
-BLOCK = 2**21
+ENTRIES_PER_BLOCK = 2**21
 
 
 def kd_tree(kernel: RadialKernel, points: Array) -> KDTree:
@@ -31,20 +28,24 @@ def _radius(kernel: RadialKernel) -> float:
 
 def density(kernel: RadialKernel, tree: KDTree, X: Array) -> float:
     """Estimate which part of k(X, Xi) is not zero."""
-    rows = X[:: -(-len(X) // SAMPLED)] / kernel.beta
+    rows = X[:: -(-len(X) // SAMPLED_ROWS)] / kernel.beta
     counts = tree.query_ball_point(rows, _radius(kernel), return_length=True)
     return float(np.mean(counts)) / tree.n
 
 
 def gram(
-    kernel: RadialKernel, tree: KDTree, points: Array, diagonal: Array
+    kernel: RadialKernel,
+    points: Array,
+    diagonal: Array,
+    block_entries: int = ENTRIES_PER_BLOCK,
 ) -> csr_array:
     """Return the Gram matrix with this diagonal."""
     n = len(points)
+    tree = kd_tree(kernel, points)
     pairs = tree.query_pairs(_radius(kernel), output_type="ndarray")
     values = np.empty(len(pairs))
-    for start in range(0, len(pairs), BLOCK):
-        rows = slice(start, start + BLOCK)
+    for start in range(0, len(pairs), block_entries):
+        rows = slice(start, start + block_entries)
         values[rows] = _values(kernel, points, points, *pairs[rows].T)
     index: Any = np.int32 if n < 2**31 else np.int64
     i: Any = pairs[:, 0].astype(index)
@@ -57,15 +58,21 @@ def gram(
     return K + coo_array((diagonal, (entries, entries)), shape=(n, n)).tocsr()
 
 
-def cross(kernel: RadialKernel, X: Array, centers: Array, tree: KDTree) -> csr_array:
+def cross(
+    kernel: RadialKernel,
+    X: Array,
+    centers: Array,
+    tree: KDTree,
+    block_entries: int = ENTRIES_PER_BLOCK,
+) -> csr_array:
     """Return k(X, Xi)."""
     near = kd_tree(kernel, X).sparse_distance_matrix(
         tree, _radius(kernel), output_type="ndarray"
     )
     i, j = near["i"], near["j"]
     values = np.empty(len(near))
-    for start in range(0, len(near), BLOCK):
-        rows = slice(start, start + BLOCK)
+    for start in range(0, len(near), block_entries):
+        rows = slice(start, start + block_entries)
         values[rows] = _values(kernel, X, centers, i[rows], j[rows])
     return coo_array((values, (i, j)), shape=(len(X), len(centers))).tocsr()
 
@@ -74,37 +81,3 @@ def _values(kernel: RadialKernel, X: Array, Y: Array, i: Indices, j: Indices) ->
     difference = (X[i] - Y[j]) / kernel.beta
     r = np.sqrt(np.einsum("ij,ij->i", difference, difference))
     return kernel.profile(r, X.shape[1])
-
-
-def bandwidth(K: csr_array) -> tuple[Indices, int]:
-    """Return an order of the rows that gathers K about its diagonal, and the width."""
-    order = reverse_cuthill_mckee(K, symmetric_mode=True)
-    place = np.empty(len(order), dtype=np.intp)
-    place[order] = np.arange(len(order))
-    rows = np.repeat(place, np.diff(K.indptr))
-    return order.astype(np.intp), int(np.abs(rows - place[K.indices]).max(initial=0))
-
-
-def banded_solver(K: csr_array, order: Indices, width: int) -> Callable[[Array], Array]:
-    """Factor K in this order and return the solution of systems with it.
-
-    Raises
-    ------
-    LinAlgError
-        If K is not positive definite.
-    """
-    n = len(order)
-    place = np.empty(n, dtype=np.intp)
-    place[order] = np.arange(n)
-    rows, columns = np.repeat(place, np.diff(K.indptr)), place[K.indices]
-    lower = rows >= columns
-    band = np.zeros((width + 1, n), order="F")
-    band[rows[lower] - columns[lower], columns[lower]] = K.data[lower]
-    factor = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
-
-    def solve(b: Array) -> Array:
-        x = np.empty_like(b)
-        x[order] = cho_solve_banded((factor, True), b[order], check_finite=False)
-        return x
-
-    return solve

@@ -15,4 +15,4 @@ def warn(message: str, category: type[Warning] = UserWarning) -> None:
     level = 0
     while frame is not None and frame.f_globals["__name__"].startswith(PACKAGE):
         frame, level = frame.f_back, level + 1
-    warnings.warn(message, category, stacklevel=level)
+    warnings.warn(message, category, stacklevel=level + 1)

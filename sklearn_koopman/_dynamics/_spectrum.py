@@ -1,0 +1,272 @@
+"""Spectra of Koopman operators: eigenfunctions, their residuals and expansions.
+
+Eigenvectors of a real matrix are kept as LAPACK gives them, "packed" into real columns:
+one for a real eigenvalue, and the real and the imaginary part of the first of a
+conjugate pair, side by side.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import lstsq, qr
+from scipy.linalg.lapack import (
+    dgecon,
+    dgeev,
+    dgeev_lwork,
+    dgetrf,
+    dgetrs,
+)
+from sklearn.utils import gen_batches
+
+from sklearn_koopman._linalg._systems import DirectSystem
+from sklearn_koopman._matrices._sections import KernelExpansion
+from sklearn_koopman._utils._typing import Array, Complex, Mask
+
+# Entries of the arrays that are held at once.
+ENTRIES_PER_BLOCK = 2**22
+# An eigenfunction of mean square one that is smaller at a row counts as zero there.
+MIN_EIGENFUNCTION = 1e-8
+
+
+def pack(values: Complex, eigenvalues: Complex) -> Array:
+    """Store columns that belong to eigenvalues as real ones."""
+    return np.where(eigenvalues.imag < 0, -values.imag, values.real)
+
+
+def unpack(values: Array, eigenvalues: Complex) -> Complex:
+    """Turn packed columns into complex ones."""
+    unpacked = values.astype(np.complex128)
+    first = np.flatnonzero(eigenvalues.imag > 0)
+    unpacked[:, first] += 1j * values[:, first + 1]
+    unpacked[:, first + 1] = unpacked[:, first].conj()
+    return unpacked
+
+
+def pack_weights(weights: Complex, eigenvalues: Complex) -> Array:
+    """Return weights, one a row, that give packed functions the same real sum."""
+    lam = eigenvalues[:, np.newaxis]
+    return np.where(
+        lam.imag == 0,
+        weights.real,
+        2 * np.where(lam.imag > 0, weights.real, weights.imag),
+    )
+
+
+def unpack_weights(weights: Array, eigenvalues: Complex) -> Complex:
+    """Undo `pack_weights`."""
+    unpacked = weights.astype(np.complex128)
+    first = np.flatnonzero(eigenvalues.imag > 0)
+    unpacked[first] -= 1j * weights[first + 1]
+    unpacked[first] /= 2
+    unpacked[first + 1] = unpacked[first].conj()
+    return unpacked
+
+
+class SpectralDecomposition(NamedTuple):
+    """Eigenfunctions of an operator, the most trustworthy first."""
+
+    eigenvalues: Complex  # (n_modes,), the one with positive imaginary part first
+    eigenfunctions: KernelExpansion  # packed
+    residuals: Array  # (n_modes,)
+    weights: Complex  # (n_modes, n_targets): expansion of the targets
+    rcond: float  # of the eigenvectors
+
+
+def decompose(
+    system: DirectSystem,
+    matrix: Array,
+    targets: Array,
+    X: Array,
+    X_next: Array,
+    counted: Mask,
+    alpha: float,
+    n_modes: int | None,
+) -> SpectralDecomposition:
+    """Find the eigenfunctions, their residuals, and the expansion of targets.
+
+    If fewer than all eigenfunctions are asked for, the expansion is the best one in
+    mean square over the rows. The residuals are measured on the rows that are
+    `counted`, those where no interpolation condition makes them vanish, or by leaving
+    out one centre at a time if these are fewer than the centres.
+    """
+    lam, vectors = eigenvectors(matrix)
+    weights, rcond = expand_in_eigenvectors(vectors, lam, targets)
+    functions = system.expand(vectors)
+    few = counted.sum() < len(system.kept)
+    size, counted_size, defect, at_first = measure(
+        functions, lam, X, X_next, counted & (not few)
+    )
+    size = np.sqrt(size / len(X))
+    if few:
+        # Interpolation has made phi(f(x)) - lambda phi(x) vanish at the centres. Apart
+        # from them phi itself is uncertain, both at x and at f(x).
+        uncertainty = left_out_error(system, functions.dual_coef, lam, alpha)
+        residuals = _ratio(uncertainty, size) * np.hypot(1, np.abs(lam))
+    else:
+        residuals = np.sqrt(_ratio(defect, counted_size))
+    # Conjugate eigenvalues tie, and a stable sort leaves them side by side.
+    order = np.argsort(_ratio(residuals, np.abs(lam)), kind="stable")
+    size[size == 0] = 1.0
+    factors = np.ones(len(order), dtype=np.complex128)
+    apparent = np.abs(at_first) > MIN_EIGENFUNCTION * size
+    factors[apparent] = np.abs(at_first[apparent]) / at_first[apparent]
+    factors /= size
+    weights = weights / factors[:, np.newaxis]
+    functions = _scale(functions, lam, factors)
+    reduced = n_modes is not None and n_modes < len(order)
+    if reduced:
+        # A conjugate pair stays together.
+        order = order[: n_modes + int(lam[order[n_modes - 1]].imag > 0)]
+    lam, functions = lam[order], functions.take(order)
+    if reduced:
+        weights = best_weights(functions, lam, system.expand(targets), X)
+    else:
+        weights = weights[order]
+    return SpectralDecomposition(lam, functions, residuals[order], weights, rcond)
+
+
+def eigenvectors(matrix: Array) -> tuple[Complex, Array]:
+    """Return the eigenvalues of a real matrix and its packed eigenvectors.
+
+    They have unit length, and their entry of largest modulus is positive.
+    """
+    if not np.isfinite(matrix).all():
+        raise np.linalg.LinAlgError("the operator is not finite")
+    size, _ = dgeev_lwork(len(matrix), compute_vl=0)
+    real, imaginary, _, vectors, info = dgeev(matrix, compute_vl=0, lwork=int(size))
+    if info != 0:
+        raise np.linalg.LinAlgError("the eigenvalues of the operator did not converge")
+    eigenvalues = real + 1j * imaginary
+    unpacked = unpack(vectors, eigenvalues)
+    largest = unpacked[np.abs(unpacked).argmax(axis=0), np.arange(len(matrix))]
+    return eigenvalues, pack(unpacked * (np.abs(largest) / largest), eigenvalues)
+
+
+def expand_in_eigenvectors(
+    vectors: Array, eigenvalues: Complex, targets: Array
+) -> tuple[Complex, float]:
+    """Expand targets, one a column, in eigenvectors given by their packed columns.
+
+    Returns
+    -------
+    weights : ndarray of shape (n_modes, n_targets)
+        Of smallest norm among the best ones, where the eigenvectors are dependent, as
+        those of a defective operator are.
+    rcond : float
+        Estimate of the reciprocal condition number of the eigenvectors.
+    """
+    lu, pivots, _ = dgetrf(vectors)
+    rcond, _ = dgecon(lu, np.linalg.norm(vectors, 1))
+    dependent = 10 * len(vectors) * np.finfo(float).eps
+    if rcond > dependent:
+        weights, _ = dgetrs(lu, pivots, targets)
+    else:
+        weights = lstsq(vectors, targets, cond=dependent, lapack_driver="gelsy")[0]
+    return unpack_weights(weights, eigenvalues), float(rcond)
+
+
+def measure(
+    functions: KernelExpansion,
+    eigenvalues: Complex,
+    X: Array,
+    X_next: Array,
+    counted: Mask,
+    block_entries: int = ENTRIES_PER_BLOCK,
+) -> tuple[Array, Array, Array, Complex]:
+    """Measure packed eigenfunctions on pairs of states.
+
+    Returns
+    -------
+    size : ndarray of shape (n_modes,)
+        Sum of squares of phi over all rows.
+    counted_size : ndarray of shape (n_modes,)
+        The same over the rows that count.
+    defect : ndarray of shape (n_modes,)
+        Sum of squares of phi(x_next) - lambda phi(x) over the rows that count.
+    at_first : ndarray of shape (n_modes,)
+        Values of phi at the first row.
+    """
+    lam = eigenvalues
+    partner = np.arange(len(lam)) + np.sign(lam.imag).astype(np.intp)
+    size, counted_size, defect = np.zeros((3, len(lam)))
+    for rows in gen_batches(len(X), max(block_entries // len(lam), 1)):
+        now = functions(X[rows])
+        if rows.start == 0:
+            at_first = unpack(now[:1], lam)[0]
+        size += np.einsum("ij,ij->j", now, now)
+        kept = counted[rows]
+        if not kept.any():
+            continue
+        now = now[kept]
+        then = functions(X_next[rows][kept])
+        # Packed: lambda (a + ib) has the parts Re a - Im b and Re b + Im a.
+        then -= now * lam.real
+        then += now[:, partner] * lam.imag
+        defect += np.einsum("ij,ij->j", then, then)
+        counted_size += np.einsum("ij,ij->j", now, now)
+    pair = partner != np.arange(len(lam))
+    for sums in (size, counted_size, defect):
+        sums[pair] += sums[partner][pair]
+    return size, counted_size, defect, at_first
+
+
+def left_out_error(
+    system: DirectSystem, dual_coef: Array, eigenvalues: Complex, alpha: float
+) -> Array:
+    """Return the rms error of eigenfunctions at centres that are left out, one by one.
+
+    In closed form (Rippa 1999). Centres without which no interpolant is determined do
+    not count; infinite if there are no others.
+    """
+    # A fit of all rows, with all of them as centres, is interpolation with alpha.
+    if alpha > 0 and not system.excess.any():
+        nugget = np.full(len(system.kept), alpha)
+        system = DirectSystem(system.sections, nugget, system.degree, "cholesky")
+    precision = system.left_out_precision()
+    determined = np.isfinite(precision)
+    if not determined.any():
+        return np.full(len(eigenvalues), np.inf)
+    errors = dual_coef[determined] / precision[determined, np.newaxis]
+    return np.sqrt(np.square(np.abs(unpack(errors, eigenvalues))).mean(axis=0))
+
+
+def best_weights(
+    functions: KernelExpansion,
+    eigenvalues: Complex,
+    targets: KernelExpansion,
+    X: Array,
+    block_entries: int = ENTRIES_PER_BLOCK,
+) -> Complex:
+    """Return weights of eigenfunctions that approximate targets best over rows."""
+    both = functions._replace(
+        dual_coef=np.hstack([functions.dual_coef, targets.dual_coef]),
+        trend_coef=np.hstack([functions.trend_coef, targets.trend_coef]),
+    )
+    m, columns = len(eigenvalues), both.dual_coef.shape[1]
+    triangle = np.empty((0, columns))
+    # Row by row into one triangular factor, since normal equations would square the
+    # condition number of eigenfunctions that are nearly parallel.
+    for rows in gen_batches(len(X), max(block_entries // columns, columns)):
+        stacked = np.vstack([triangle, both(X[rows])])
+        triangle = np.asarray(qr(stacked, mode="r")[0])[:columns]
+    weights = lstsq(triangle[:, :m], triangle[:, m:])[0]
+    return unpack_weights(weights, eigenvalues)
+
+
+def _scale(
+    functions: KernelExpansion, eigenvalues: Complex, factors: Complex
+) -> KernelExpansion:
+    """Multiply packed eigenfunctions by numbers, conjugate ones by conjugates."""
+    dual_coef, trend_coef = (
+        pack(unpack(values, eigenvalues) * factors, eigenvalues)
+        for values in (functions.dual_coef, functions.trend_coef)
+    )
+    return functions._replace(dual_coef=dual_coef, trend_coef=trend_coef)
+
+
+def _ratio(numerator: Array, denominator: Array) -> Array:
+    """Divide, with infinity where the denominator is zero."""
+    infinite = np.full(len(numerator), np.inf)
+    return np.divide(numerator, denominator, out=infinite, where=denominator > 0)
