@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
-from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 from sklearn.base import (
@@ -22,25 +19,22 @@ from sklearn.utils import check_array
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from sklearn_koopman._selection import nearest_centers, select_centers
 from sklearn_koopman._utils._rows import distinct_rows
 from sklearn_koopman._utils._typing import Array, Indices
 from sklearn_koopman._utils._validation import (
     check_distances,
     check_integer,
     check_magnitude,
-    check_number,
+    check_parameters,
 )
 
 __all__ = ["SeparatedCenterSelector"]
 
-
-# Rows gone through at a time, so that temporary arrays stay small and in the cache.
-CHUNK = 2**14
-# Rows few enough to measure all their distances sooner than to build a tree.
-FEW = 64
+ORDERS = ("sequential", "farthest")
 
 
-def _takes_batches(selector: SeparatedCenterSelector) -> bool:
+def _selects_in_batches(selector: SeparatedCenterSelector) -> bool:
     if isinstance(selector.order, str) and selector.order == "farthest":
         raise AttributeError(
             "partial_fit cannot select with order='farthest', which compares all "
@@ -54,50 +48,52 @@ class SeparatedCenterSelector(
 ):
     """Select samples that keep a minimal distance from each other as centres.
 
-    The centres of a kernel estimate have to be dense enough to cover the motion (the
-    error falls with their fill distance) and far enough apart to keep the Gram matrix
-    well conditioned (its smallest eigenvalue falls with their separation). Walking
-    through the samples and keeping every one that is farther than `separation` from
-    all kept before achieves both: the kept ones are separated by more than
-    `separation`, and no sample lies farther than `separation` from them.
+    A kernel estimate is a sum of kernel sections k(., c), one for each centre c. Its
+    error falls with the fill distance, the largest distance of a sample from its
+    nearest centre, so the centres have to cover the motion. The smallest eigenvalue of
+    the Gram matrix falls with the separation distance, half the smallest distance
+    between two centres, so the centres have to lie apart. The selector goes through the
+    samples and selects each one that is farther than `separation` from all centres
+    before. Any two centres are then farther than `separation` apart, and no sample is
+    farther than `separation` from its nearest centre.
 
     Parameters
     ----------
     separation : float, default=1.0
-        The paper's eta, in the unit of the states: any two centres are farther apart
-        than this. 0 keeps every distinct sample.
+        The distance eta of [1]_, in the unit of the states: any two centres are farther
+        apart. With 0 every distinct sample is a centre.
     order : {"sequential", "farthest"}, default="sequential"
-        How the samples are gone through.
+        The order in which samples become centres.
 
-        - "sequential": Algorithm 1 of [1]_. In the order of the rows, the first row
-          always kept.
+        - "sequential": the order of the rows (Algorithm 1 of [1]_). The first row is
+          always a centre.
         - "farthest": the first row, then always the sample that is farthest from the
-          centres so far (the one of lowest index among equally far ones; [2]_). The
-          centres are nested: the first m of them are those of ``max_centers=m``, and
-          their fill distance is at most twice that of the best m centres.
+          centres so far ([2]_), the first of them if several are equally far. The
+          first m centres are those of ``max_centers=m``, and their fill distance is at
+          most twice that of the best m centres.
     max_centers : int, default=None
-        Stop after this many centres, which may then leave samples farther than
-        `separation` away; `fill_distance_` tells how far.
+        Largest number of centres. If it ends the selection, some samples may be farther
+        than `separation` from all centres: see `fill_distance_`.
 
     Attributes
     ----------
     center_indices_ : ndarray of shape (n_centers,)
-        The rows of the centres in the data given to `fit`, in the order in which
-        they were selected. With `partial_fit`, counted through all batches.
+        The rows of the centres in the data given to `fit`, in the order of selection.
+        After `partial_fit`, rows are counted through all batches.
     cluster_centers_ : ndarray of shape (n_centers, n_features)
         The centres.
     labels_ : ndarray of shape (n_samples,)
-        The nearest centre of each sample, or one of them. After `partial_fit`, of the
-        samples of the last batch.
+        The number of the nearest centre of each sample, one of them if several are
+        equally near. After `partial_fit`, for the samples of the last batch.
     separation_distance_ : float
-        Half the smallest distance between two centres; infinite for one centre.
+        Half the smallest distance between two centres, in the unit of the states;
+        infinite for one centre.
     fill_distance_ : float
-        The largest distance of a sample from its nearest centre. After `partial_fit`
-        an upper bound of it: the samples of each batch are measured once, to the
-        centres known then, though later ones may lie nearer.
+        The largest distance of a sample from its nearest centre, in the unit of the
+        states. After `partial_fit` an upper bound of that distance: the samples of a
+        batch are compared with the centres known then, and later centres may be nearer.
     n_samples_seen_ : int
-        Number of samples that `fit` and the calls of `partial_fit` after it went
-        through.
+        Number of samples given to `fit` and to the calls of `partial_fit` after it.
     n_features_in_ : int
         Number of features seen during `fit`.
     feature_names_in_ : ndarray of shape (n_features_in_,)
@@ -109,15 +105,19 @@ class SeparatedCenterSelector(
 
     Notes
     -----
-    Distances are Euclidean: put a scaler in front where the states have different
-    units. Samples are compared with kd-trees of the centres before them, so that
-    low-dimensional motion costs about n log n however many features describe it;
-    memory is linear. `partial_fit` keeps the centres and one batch.
+    Distances are Euclidean: put a scaler in front where the features have different
+    units. Samples are compared with kd-trees of the centres before them. For motion on
+    a manifold of low dimension, `fit` takes about O(n log n) time for n samples,
+    whatever the number of features; in many dimensions it approaches O(n M) for M
+    centres. Memory is proportional to the samples, and with `partial_fit` to one batch
+    and the centres. `transform` takes O(n M) time and memory, `predict` about O(n log
+    M) time.
 
     References
     ----------
-    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
-       of Animal Motions over Unknown Submanifolds", Algorithm 1.
+    .. [1] N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+       for Estimation of Animal Motions over Unknown Submanifolds",
+       arXiv:2203.05646, 2022.
     .. [2] T. F. Gonzalez, "Clustering to minimize the maximum intercluster
        distance", Theoretical Computer Science 38, 1985.
 
@@ -172,16 +172,17 @@ class SeparatedCenterSelector(
         Raises
         ------
         ValueError
-            If a parameter is outside its range, or `X` is no finite 2-D array.
+            If a parameter is outside its range, if `X` is no finite 2-D array, or if
+            its values are too large or too small to be squared.
         """
         return self._extend(X, {})
 
-    @available_if(_takes_batches)
+    @available_if(_selects_in_batches)
     def partial_fit(self, X: Any, y: Any = None) -> SeparatedCenterSelector:
-        """Go on selecting, with the next batch of samples.
+        """Select further centres from the next batch of samples.
 
-        The centres are those of one `fit` to all batches in a row, however they are
-        divided, while memory holds no more than the centres and one batch.
+        The centres are those of one `fit` to all batches in a row, whatever the size of
+        the batches. Memory holds the centres and one batch only.
 
         Parameters
         ----------
@@ -204,8 +205,8 @@ class SeparatedCenterSelector(
 
         Notes
         -----
-        Parameters that were set in between hold from this batch on; centres selected
-        before remain.
+        Parameters that were changed since the last batch apply to this batch and later
+        ones. Centres that were selected before remain.
 
         Examples
         --------
@@ -221,7 +222,7 @@ class SeparatedCenterSelector(
         return self._extend(X, vars(self))
 
     def _extend(self, given: Any, fitted: Mapping[str, Any]) -> SeparatedCenterSelector:
-        """Select among the samples, given the attributes of a fit to those before."""
+        """Select from a batch of samples, given the attributes after earlier ones."""
         is_first = "n_samples_seen_" not in fitted
         if is_first:
             X = check_array(
@@ -229,50 +230,30 @@ class SeparatedCenterSelector(
             )
         else:
             X = validate_data(self, given, reset=False, dtype=np.float64, order="C")
-        known = fitted.get("cluster_centers_", np.empty((0, X.shape[1])))
-        # Next to known states, small values are differences that may be neglected.
-        check_magnitude(X, smallest=0 if known.any() else 1e-150)
-        check_number(self.separation, "separation")
-        separation = float(self.separation)
+        check_parameters(self, non_negative=["separation"], order=ORDERS)
         if self.max_centers is not None:
             check_integer(self.max_centers, "max_centers", 1)
-        orders = ("sequential", "farthest")
-        if not isinstance(self.order, str) or self.order not in orders:
-            raise ValueError(
-                f"order must be 'sequential' or 'farthest', got {self.order!r}."
-            )
-        n_seen = fitted.get("n_samples_seen_", 0)
-        # Loaded from a pickle, the centres come without their trees.
-        trees = fitted.get("_trees") or [KDTree(known)]
-        distances, labels = _nearest(X, trees)
-        if self.order == "sequential":
-            most = n_seen + len(X) if self.max_centers is None else self.max_centers
-            candidates = np.flatnonzero(~_covered(X, distances, trees, separation))
-            rows = _separated(X, candidates, separation, most - len(known))
-        else:
-            rows = farthest_centers(X, separation, self.max_centers)
-        centers = known
-        closest = 2 * fitted.get("separation_distance_", np.inf)
-        if len(rows):
-            added = KDTree(X[rows])
-            centers = np.vstack([known, added.data])
-            closest = min(closest, _smallest_distance(added))
-            if not is_first:
-                gaps = _distances(added.data, known[labels[rows]])
-                closest = min(closest, float(gaps.min()))
-            to_added, label = _nearest(X, [added])
-            labels = np.where(to_added < distances, len(known) + label, labels)
-            trees = _merged(trees, added, len(X))
-        fill = _largest_distance(X, centers, labels)
+        known = fitted.get("cluster_centers_", np.empty((0, X.shape[1])))
+        rows, labels, separation, fill, trees = select_centers(
+            X,
+            float(self.separation),
+            self.order,
+            self.max_centers,
+            known,
+            fitted.get("_trees", []),  # absent from a pickle
+        )
 
         # Attributes are set last: a fit that fails leaves the selector as it was.
         if is_first:
             validate_data(self, given, skip_check_array=True)
+        n_seen = fitted.get("n_samples_seen_", 0)
         indices = fitted.get("center_indices_", np.empty(0, dtype=np.intp))
         self.center_indices_ = np.concatenate([indices, n_seen + rows])
-        self.cluster_centers_ = centers
+        self.cluster_centers_ = np.vstack([known, X[rows]])
         self.labels_ = labels
-        self.separation_distance_ = closest / 2
+        self.separation_distance_ = min(
+            fitted.get("separation_distance_", np.inf), separation
+        )
         self.fill_distance_ = max(fitted.get("fill_distance_", 0.0), fill)
         self.n_samples_seen_ = n_seen + len(X)
         self._trees = trees
@@ -289,12 +270,16 @@ class SeparatedCenterSelector(
         Returns
         -------
         distances : ndarray of shape (n_samples, n_centers)
-            Euclidean distances, exactly zero between a centre and itself.
+            Euclidean distances in the unit of the states, exactly zero between a centre
+            and itself.
+
+        Raises
+        ------
+        ValueError
+            If `X` is no finite 2-D array with the features of the fit, or if its values
+            are too large to be squared.
         """
-        check_is_fitted(self)
-        X = validate_data(self, X, reset=False, dtype=np.float64)
-        check_magnitude(X, smallest=0)
-        return cdist(X, self.cluster_centers_)
+        return cdist(self._check_states(X), self.cluster_centers_)
 
     def predict(self, X: Any) -> Indices:
         """Find the nearest centre.
@@ -308,11 +293,21 @@ class SeparatedCenterSelector(
         -------
         labels : ndarray of shape (n_samples,)
             The number of the nearest centre.
+
+        Raises
+        ------
+        ValueError
+            As in :meth:`transform`.
         """
+        return nearest_centers(self._check_states(X), [KDTree(self.cluster_centers_)])[
+            1
+        ]
+
+    def _check_states(self, X: Any) -> Array:
         check_is_fitted(self)
-        X = validate_data(self, X, reset=False, dtype=np.float64)
+        X = np.asarray(validate_data(self, X, reset=False, dtype=np.float64))
         check_magnitude(X, smallest=0)
-        return _nearest(X, [KDTree(self.cluster_centers_)])[1]
+        return X
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the trees, which follow from the centres."""
@@ -325,82 +320,10 @@ class SeparatedCenterSelector(
         return len(self.cluster_centers_)
 
 
-def sequential_centers(
-    X: Array, separation: float, max_centers: int | None = None
-) -> Indices:
-    """Select centres in the order of the rows (Algorithm 1 of the paper).
-
-    Parameters
-    ----------
-    X : ndarray of shape (n_samples, n_features)
-        The samples.
-    separation : float
-        A row is kept if its distance to all rows kept before is larger than this.
-    max_centers : int, default=None
-        Stop after this many centres.
-
-    Returns
-    -------
-    indices : ndarray of shape (n_centers,)
-        The rows kept, in rising order.
-    """
-    most = len(X) if max_centers is None else max_centers
-    return _separated(X, np.arange(len(X)), float(separation), most)
-
-
-def farthest_centers(
-    X: Array, separation: float, max_centers: int | None = None
-) -> Indices:
-    """Select centres farthest first.
-
-    Parameters
-    ----------
-    X : ndarray of shape (n_samples, n_features)
-        The samples.
-    separation : float
-        Selection ends when no sample is farther than this from the centres.
-    max_centers : int, default=None
-        Stop after this many centres.
-
-    Returns
-    -------
-    indices : ndarray of shape (n_centers,)
-        The rows kept, in the order of selection.
-    """
-    n_samples = len(X)
-    most = n_samples if max_centers is None else max_centers
-    tree, order = _sorted_tree(X)
-    # In the order of the tree, samples near each other in space are near each other
-    # in memory. A ball touches few of the blocks whose largest distances are kept, so
-    # that the farthest sample is found without a pass over all samples.
-    size = max(int(np.sqrt(n_samples)), 1)
-    n_blocks = -(-n_samples // size)
-    distance = np.full(n_blocks * size, -np.inf)
-    distance[:n_samples] = _distances(tree.data, X[0])
-    blocks = distance.reshape(n_blocks, size)
-    farthest = blocks.max(axis=1)
-    indices = [0]
-    while len(indices) < most:
-        radius = farthest.max()
-        if not radius > separation:
-            break
-        where = np.flatnonzero(farthest == radius)
-        block, offset = np.nonzero(blocks[where] == radius)
-        row = int(order[where[block] * size + offset].min())
-        indices.append(row)
-        # Only samples nearer to the new centre than the covering radius can gain.
-        near, distances = _ball(tree, X[row], radius)
-        distance[near] = np.minimum(distance[near], distances)
-        touched = np.zeros(n_blocks, dtype=bool)
-        touched[near // size] = True
-        farthest[touched] = blocks[touched].max(axis=1)
-    return np.array(indices, dtype=np.intp)
-
-
 def choose_centers(
     centers: Any, X: Array, y: Any, *, among_rows: bool
 ) -> tuple[Array, Indices | None]:
-    """Return the centres that an estimator's parameter `centers` means.
+    """Return the centres for the parameter `centers` of an estimator.
 
     Parameters
     ----------
@@ -409,7 +332,7 @@ def choose_centers(
     X : ndarray of shape (n_samples, n_features)
         The samples.
     y : ndarray
-        The outputs, for estimators that ask for them.
+        The outputs, which some estimators need.
     among_rows : bool
         Whether every centre has to be a row of `X`.
 
@@ -418,7 +341,13 @@ def choose_centers(
     points : ndarray of shape (n_centers, n_features)
         The centres.
     rows : ndarray of shape (n_centers,) or None
-        The first row of `X` that each centre is; None where that is not known.
+        The first row of `X` that equals each centre; None if that is not known.
+
+    Raises
+    ------
+    ValueError
+        If `centers` is none of these, has other features than `X`, or, with
+        `among_rows`, holds a centre that is no row of `X`.
     """
     rows = None
     if hasattr(centers, "fit") and not isinstance(centers, type):
@@ -430,7 +359,7 @@ def choose_centers(
             )
         points = np.asarray(selector.cluster_centers_, dtype=np.float64)
         rows = getattr(selector, "center_indices_", None)
-        # A frozen selector knows rows of the data that it was fitted to.
+        # The rows of a frozen selector may be those of other data.
         if rows is not None and not (
             rows.max() < len(X) and np.array_equal(X[rows], points)
         ):
@@ -455,8 +384,8 @@ def choose_centers(
             raise ValueError(
                 f"{missing.sum()} of {len(points)} centres, given or chosen by "
                 f"centers={type(centers).__name__}, are no rows of X, so that their "
-                "outputs are unknown; use method='least_squares', or choose the "
-                "centres among the rows (SeparatedCenterSelector does)."
+                "outputs are unknown; use method='least_squares', or select the "
+                "centres among the rows, by SeparatedCenterSelector for example."
             )
     return points, rows
 
@@ -473,6 +402,11 @@ def rows_at_distance_zero(distances: Array) -> Indices:
     -------
     rows : ndarray of shape (n_centers,)
         The first row at distance zero from each centre.
+
+    Raises
+    ------
+    ValueError
+        If a distance is negative, or a column holds no zero.
     """
     check_distances(distances)
     rows = distances.argmin(axis=0)
@@ -481,141 +415,8 @@ def rows_at_distance_zero(distances: Array) -> Indices:
         raise ValueError(
             f"With centers='precomputed' every centre must be a row of X at distance "
             f"zero from itself, but {len(apart)} of {distances.shape[1]} columns "
-            f"(first {apart[0]}) hold no zero. Rows left out after the selector, or "
-            "centres such as those of KMeans, cause this; pass the states and "
+            f"(the first is {apart[0]}) hold no zero. Rows left out after the selector "
+            "cause this, and centres such as those of KMeans. Pass the states and "
             "centers=SeparatedCenterSelector() instead."
         )
     return rows
-
-
-def _sorted_tree(X: Array) -> tuple[KDTree, Indices]:
-    """Build a tree of the samples sorted in space, and return it with their order."""
-    # Median splits cost a quadratic number of steps on repeated samples.
-    build = partial(KDTree, balanced_tree=False, compact_nodes=False)
-    order = np.asarray(build(X).indices)
-    return build(X[order]), order
-
-
-def _ball(tree: KDTree, x: Array, radius: float) -> tuple[Indices, Array]:
-    """Return the samples of the tree within the radius of x, and their distances.
-
-    The tree compares squared distances. With the margin it returns a few samples just
-    beyond the radius, too, and the caller decides by the distances themselves.
-    """
-    found = tree.query_ball_point(x, radius * (1 + 1e-9), return_sorted=False)
-    near = np.array(found, dtype=np.intp)
-    return near, _distances(tree.data[near], x)
-
-
-def _separated(X: Array, rows: Indices, separation: float, most: int) -> Indices:
-    """Select at most so many centres among some rows, gone through in their order.
-
-    Once the first half has its centres, one query tells which rows of the second half
-    they cover. Nearly all, mostly: hence a row is compared with few trees, and work
-    and memory do not grow with the number of rows in a ball.
-    """
-    if len(rows) <= FEW:
-        points = X[rows]
-        near = _distances(points[:, np.newaxis], points) <= separation
-        covered = np.zeros(len(rows), dtype=bool)
-        kept: list[int] = []
-        for i in range(len(rows)):
-            if not covered[i] and len(kept) < most:
-                kept.append(i)
-                covered |= near[i]
-        return rows[kept]
-    half = len(rows) // 2
-    first = _separated(X, rows[:half], separation, most)
-    if len(first) >= most:
-        return first
-    tree = KDTree(X[first])
-    _, beyond = _margin(separation)
-    uncovered = []
-    for start in range(half, len(rows), CHUNK):
-        chunk = rows[start : start + CHUNK]
-        points = X[chunk]
-        distances, _ = tree.query(points, distance_upper_bound=beyond)
-        covered = _covered(points, np.asarray(distances), [tree], separation)
-        uncovered.append(chunk[~covered])
-    rest = np.concatenate(uncovered)
-    return np.concatenate([first, _separated(X, rest, separation, most - len(first))])
-
-
-def _covered(
-    X: Array, distances: Array, trees: list[KDTree], separation: float
-) -> NDArray[np.bool_]:
-    """Tell which samples lie within the separation of a centre in the trees.
-
-    The distances to the nearest centre, as trees compute them, decide where rounding
-    cannot matter. Elsewhere those of all centres at about the separation do.
-    """
-    within, beyond = _margin(separation)
-    covered = distances <= within
-    close = np.flatnonzero(~covered & (distances <= beyond))
-    for tree, start in product(trees, range(0, len(close), CHUNK)):
-        rows = close[start : start + CHUNK]
-        found: Any = tree.query_ball_point(X[rows], beyond, return_sorted=False)
-        rows = np.repeat(rows, [len(centers) for centers in found])
-        centers = np.concatenate(found).astype(np.intp)
-        hit = _distances(X[rows], tree.data[centers]) <= separation
-        covered[rows[hit]] = True
-    return covered
-
-
-def _margin(separation: float) -> tuple[float, float]:
-    """Return the distances up to, and from which, a tree's rounding cannot matter.
-
-    The absolute part is for squares that leave the range of a double.
-    """
-    within = separation * (1 - 1e-9) - 1e-150
-    return max(within, 0.0), separation * (1 + 1e-9) + 1e-150
-
-
-def _nearest(X: Array, trees: list[KDTree]) -> tuple[Array, Indices]:
-    """Return the distance and the number of the centre nearest to each sample.
-
-    The trees hold the centres in their order. Without any the distance is infinite.
-    """
-    distances = np.full(len(X), np.inf)
-    labels = np.zeros(len(X), dtype=np.intp)
-    first = 0
-    for tree in trees:
-        found, label = tree.query(X, distance_upper_bound=distances.max())
-        nearer = found < distances
-        distances[nearer] = np.asarray(found)[nearer]
-        labels[nearer] = first + np.asarray(label)[nearer]
-        first += tree.n
-    return distances, labels
-
-
-def _merged(trees: list[KDTree], added: KDTree, n_samples: int) -> list[KDTree]:
-    """Add the tree of new centres to those of the centres before.
-
-    Trees of a similar size are merged. Then there are few, and a centre moves to
-    another only a few times: rebuilding one for every small batch would cost more than
-    to select. Nor is a tree worth asking that is smaller than the batches are.
-    """
-    while trees and trees[-1].n < max(2 * added.n, n_samples):
-        *trees, last = trees
-        added = KDTree(np.vstack([last.data, added.data]))
-    return [*trees, added]
-
-
-def _distances(X: Array, x: Array) -> Array:
-    difference = X - x
-    difference *= difference
-    return np.sqrt(difference.sum(axis=-1))
-
-
-def _smallest_distance(tree: KDTree) -> float:
-    if tree.n < 2:
-        return np.inf
-    _, neighbors = tree.query(tree.data, k=2)
-    return float(_distances(tree.data, tree.data[np.asarray(neighbors)[:, 1]]).min())
-
-
-def _largest_distance(X: Array, centers: Array, labels: Indices) -> float:
-    chunks = (slice(start, start + CHUNK) for start in range(0, len(X), CHUNK))
-    return max(
-        float(_distances(X[chunk], centers[labels[chunk]]).max()) for chunk in chunks
-    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABCMeta, abstractmethod
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,14 +26,16 @@ __all__ = [
     "Gaussian",
     "InverseMultiquadric",
     "MaternSobolev",
+    "RadialKernel",
     "Wendland",
 ]
 
 T = TypeVar("T")
+Bounds: TypeAlias = tuple[float, float] | str
 
-# Beyond this many scales every profile has decayed, and its polynomial factors still
-# fit in a double: inf * 0 = nan would follow from distances that overflow.
-FAR = 1e75
+# Largest coordinate of a state in units of beta. Up to there the cube of a distance,
+# the highest power in any profile, stays within the range of a double.
+MAX_SCALED_COORDINATE = 1e70
 
 
 class RadialKernel(
@@ -41,8 +43,18 @@ class RadialKernel(
 ):
     """Base class of kernels k(x, y) = phi(||x - y|| / beta) with phi(0) = 1.
 
-    A subclass gives :meth:`profile`, the function phi, and :meth:`log_gradient`.
-    The kernels add, multiply, clone and tune as all kernels of
+    The function phi is the profile of the kernel. The function k(., c) of the first
+    argument, with a centre c, is a kernel section; estimates are sums of sections. The
+    native space of a kernel (its reproducing kernel Hilbert space) holds these sums
+    and their limits in the native norm, in which the inner product of the sections at
+    x and y is k(x, y).
+
+    A kernel of one's own is a subclass with the methods :meth:`profile`,
+    :meth:`log_gradient` and :meth:`sobolev_order`. phi must be positive definite in
+    the dimension of the states, with phi(0) = 1. A kernel that vanishes from some
+    distance on overrides :attr:`support_radius`, too: large Gram matrices are then
+    sparse. Further parameters are stored by `__init__` under their own names, as in
+    every scikit-learn estimator. Kernels add, multiply, clone and tune as those of
     :mod:`sklearn.gaussian_process.kernels` do.
 
     Parameters
@@ -51,11 +63,42 @@ class RadialKernel(
         Scale of the kernel, in the unit of the states.
     beta_bounds : pair of floats or "fixed", default=(1e-5, 1e5)
         Bounds of `beta` where it is optimised, as in `GaussianProcessRegressor`.
+
+    See Also
+    --------
+    MaternSobolev : Kernels whose native spaces are Sobolev spaces.
+    Wendland : Kernels of compact support.
+
+    Notes
+    -----
+    A matrix of n times M kernel values in d dimensions costs O(n M d) time, and memory
+    for the n M values.
+
+    Examples
+    --------
+    The rational quadratic kernel 1 / (1 + r^2):
+
+    >>> import numpy as np
+    >>> from sklearn_koopman import KoopmanKernelRegressor
+    >>> from sklearn_koopman.kernels import RadialKernel
+    >>> class Cauchy(RadialKernel):
+    ...     def profile(self, r, n_features, out=None):
+    ...         return 1 / (1 + r**2)
+    ...
+    ...     def log_gradient(self, r, n_features):
+    ...         return 2 * r**2 / (1 + r**2) ** 2
+    ...
+    ...     def sobolev_order(self, n_features):
+    ...         return np.inf
+    >>> X = np.linspace(0, 3, 7)[:, np.newaxis]
+    >>> model = KoopmanKernelRegressor(Cauchy(beta=2.0)).fit(X, np.sin(X[:, 0]))
+    >>> model.kernel_
+    Cauchy(beta=2)
+    >>> model.predict([[1.7]]).round(3)
+    array([0.991])
     """
 
-    def __init__(
-        self, beta: float = 1.0, beta_bounds: tuple[float, float] | str = (1e-5, 1e5)
-    ) -> None:
+    def __init__(self, beta: float = 1.0, beta_bounds: Bounds = (1e-5, 1e5)) -> None:
         self.beta = beta
         self.beta_bounds = beta_bounds
 
@@ -66,7 +109,10 @@ class RadialKernel(
 
     @property
     def support_radius(self) -> float:
-        """Distance from which on the kernel is zero; infinite unless compact."""
+        """Distance from which on the kernel is zero, in the unit of the states.
+
+        Infinite here; kernels of compact support return a multiple of `beta`.
+        """
         return np.inf
 
     @abstractmethod
@@ -76,27 +122,31 @@ class RadialKernel(
         Parameters
         ----------
         r : ndarray
-            Distances in units of `beta`. Overwritten where `out` is given, so that no
-            further array is needed.
+            Distances in units of `beta`, of any shape, from 0 to about 1e70. Only where
+            `out` is given may they be overwritten, to save a temporary array.
         n_features : int
             Dimension of the space that the distances come from.
         out : ndarray of the shape of `r`, default=None
-            Where to write the values.
+            Where the values may be written, to save a new array. A subclass can ignore
+            it.
 
         Returns
         -------
         phi : ndarray of the shape of `r`
-            The values phi(r).
+            The values phi(r); `out` itself, or a new array.
         """
 
     @abstractmethod
     def log_gradient(self, r: Array, n_features: int) -> Array:
         """Evaluate the derivative of the kernel with respect to log(beta).
 
+        `GaussianProcessRegressor` uses it to optimise `beta`; the estimators of this
+        package do not.
+
         Parameters
         ----------
         r : ndarray
-            Distances in units of `beta`; not written to.
+            Distances in units of `beta`; not to be overwritten.
         n_features : int
             Dimension of the space that the distances come from.
 
@@ -108,12 +158,11 @@ class RadialKernel(
 
     @abstractmethod
     def sobolev_order(self, n_features: int) -> float:
-        """Order tau of the Sobolev space that the native space equals.
+        """Return the order tau of the Sobolev space that the native space equals.
 
         The Fourier transform of the kernel in R^d decays like
-        ``(1 + |w|^2) ** -tau``. Restricted to a manifold of dimension m in R^d, the
-        order is ``tau - (d - m) / 2`` (the paper's theorem on restrictions, from
-        Fuselier and Wright).
+        ``(1 + |w|^2) ** -tau``. On a manifold of dimension m in R^d the order is
+        ``tau - (d - m) / 2`` ([1]_). Expected rates of convergence follow from it.
 
         Parameters
         ----------
@@ -124,6 +173,12 @@ class RadialKernel(
         -------
         tau : float
             The order; infinite if the decay is faster than any power.
+
+        References
+        ----------
+        .. [1] E. Fuselier and G. B. Wright, "Scattered data interpolation on embedded
+           submanifolds with restricted positive definite kernels: Sobolev error
+           estimates", SIAM Journal on Numerical Analysis 50, 2012.
         """
 
     def __call__(
@@ -147,38 +202,37 @@ class RadialKernel(
             The kernel matrix.
         K_gradient : ndarray of shape (n_samples_X, n_samples_X, n_dims)
             The gradient, only if `eval_gradient`; n_dims is 0 if `beta` is fixed.
+
+        Raises
+        ------
+        ValueError
+            If a parameter is outside its range; if states exceed 1e70 times `beta`; if
+            the gradient is asked for with `Y`.
         """
         if eval_gradient and Y is not None:
             raise ValueError("The gradient is only defined for Y=None.")
-        X = np.atleast_2d(np.asarray(X, dtype=np.float64))
-        r = self._scaled_distances(X, Y)
-        n_features = X.shape[1]
-        K = self.profile(r, n_features)
+        check_beta(self.beta)
+        x = scale_states(self, np.atleast_2d(np.asarray(X, dtype=np.float64)))
+        y = x
+        if Y is not None:
+            y = scale_states(self, np.atleast_2d(np.asarray(Y, dtype=np.float64)))
+        r = cdist(x, y)
+        K = self.profile(r, x.shape[1])
         if not eval_gradient:
             return K
         if self.hyperparameter_beta.fixed:
             return K, np.empty((*K.shape, 0))
-        return K, self.log_gradient(r, n_features)[:, :, np.newaxis]
+        return K, self.log_gradient(r, x.shape[1])[:, :, np.newaxis]
 
     def __repr__(self) -> str:
         """Show the scale and, where there are any, the further parameters."""
+        parameters = self.get_params()
+        del parameters["beta_bounds"]
         shown = ", ".join(
-            f"{name}={value:.6g}"
-            if isinstance(value, float | np.floating)
-            else f"{name}={value!r}"
-            for name, value in self.get_params().items()
-            if name != "beta_bounds"
+            f"{name}={value:.6g}" if isinstance(value, float) else f"{name}={value!r}"
+            for name, value in parameters.items()
         )
         return f"{type(self).__name__}({shown})"
-
-    def _scaled_distances(self, X: Array, Y: ArrayLike | None) -> Array:
-        check_number(self.beta, "beta", positive=True)
-        # Scaled before the differences are squared: neither huge nor tiny units
-        # overflow, and equal rows stay at distance exactly zero.
-        X = X / self.beta
-        Y = X if Y is None else np.atleast_2d(np.asarray(Y, dtype=float)) / self.beta
-        r = cdist(X, Y)
-        return np.minimum(r, FAR, out=r)
 
 
 class MaternSobolev(RadialKernel):
@@ -195,8 +249,8 @@ class MaternSobolev(RadialKernel):
     beta : float, default=1.0
         Scale of the kernel, in the unit of the states.
     nu : {0.5, 1.5, 2.5, 3.5}, default=1.5
-        Smoothness: the native space in R^d is the Sobolev space of order
-        nu + d/2.
+        Smoothness: the native space in R^d (see :class:`RadialKernel`) is the Sobolev
+        space of order nu + d/2.
     beta_bounds : pair of floats or "fixed", default=(1e-5, 1e5)
         Bounds of `beta` where it is optimised, as in `GaussianProcessRegressor`.
 
@@ -210,13 +264,14 @@ class MaternSobolev(RadialKernel):
     -----
     The formula printed in [1]_, Section 4.1, has the *squared* distance in place
     of the distance. That function is not positive definite (its Fourier transform
-    takes both signs): interpolation with it can fail. This is the Matern function
-    that the theory of the paper is about.
+    takes both signs), so interpolation with it can fail. The formula above is the
+    Matern function, to which the theory of the paper applies.
 
     References
     ----------
-    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
-       of Animal Motions over Unknown Submanifolds".
+    .. [1] N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+       for Estimation of Animal Motions over Unknown Submanifolds",
+       arXiv:2203.05646, 2022.
 
     Examples
     --------
@@ -228,49 +283,44 @@ class MaternSobolev(RadialKernel):
     2.5
     """
 
-    # Coefficients of the polynomial factor p, and of p - p', in powers of z: the
-    # derivative of p(z) exp(-z) with respect to log(beta) is z (p - p') exp(-z).
-    _POLYNOMIALS: dict[float, tuple[tuple[float, ...], tuple[float, ...]]] = {
-        0.5: ((1.0,), (1.0,)),
-        1.5: ((1.0, 1.0), (0.0, 1.0)),
-        2.5: ((1.0, 1.0, 1 / 3), (0.0, 1 / 3, 1 / 3)),
-        3.5: ((1.0, 1.0, 2 / 5, 1 / 15), (0.0, 1 / 5, 1 / 5, 1 / 15)),
+    # Coefficients of the polynomial p in rising powers of z.
+    _POLYNOMIALS: dict[float, tuple[float, ...]] = {
+        0.5: (1.0,),
+        1.5: (1.0, 1.0),
+        2.5: (1.0, 1.0, 1 / 3),
+        3.5: (1.0, 1.0, 2 / 5, 1 / 15),
     }
 
     def __init__(
-        self,
-        beta: float = 1.0,
-        nu: float = 1.5,
-        beta_bounds: tuple[float, float] | str = (1e-5, 1e5),
+        self, beta: float = 1.0, nu: float = 1.5, beta_bounds: Bounds = (1e-5, 1e5)
     ) -> None:
         super().__init__(beta, beta_bounds)
         self.nu = nu
 
     def profile(self, r: Array, n_features: int, out: Array | None = None) -> Array:
-        value, _ = self._polynomials()
-        r, out = _arrays(r, out)
+        p = _look_up(self._POLYNOMIALS, self.nu, "nu")
+        r, out = _writable(r, out)
         r *= np.sqrt(2 * self.nu)
-        _horner(value, r, out)
+        _evaluate_polynomial(p, r, out)
         np.negative(r, out=r)
         np.exp(r, out=r)
         out *= r
         return out
 
     def log_gradient(self, r: Array, n_features: int) -> Array:
-        _, difference = self._polynomials()
+        # With respect to log(beta), p(z) exp(-z) has the derivative z (p - p') exp(-z).
+        p = _look_up(self._POLYNOMIALS, self.nu, "nu")
+        falling = tuple(np.subtract(p, (*_derivative(p), 0.0)))
         z = np.sqrt(2 * self.nu) * r
-        return z * _horner(difference, z) * np.exp(-z)
+        return z * _evaluate_polynomial(falling, z) * np.exp(-z)
 
     def sobolev_order(self, n_features: int) -> float:
-        self._polynomials()
+        _look_up(self._POLYNOMIALS, self.nu, "nu")
         return self.nu + n_features / 2
-
-    def _polynomials(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        return _lookup(self._POLYNOMIALS, self.nu, "nu")
 
 
 class Wendland(RadialKernel):
-    """Wendland kernel: compact support, piecewise polynomial.
+    """Wendland kernel, a piecewise polynomial of compact support.
 
     With :math:`r = \\|x - y\\| / \\beta` and :math:`l = \\lfloor D/2 \\rfloor + k + 1`
     for smoothness :math:`2k` and dimension :math:`D`,
@@ -290,8 +340,8 @@ class Wendland(RadialKernel):
         How many times the function is continuously differentiable: 2 means C^2.
     dimension : int, default=None
         Largest dimension D in which the function has to be positive definite. None
-        takes that of the data, and 3 for fewer features. The data may have fewer
-        features than D, not more.
+        means the number of features, at least 3. Data with more than D features are
+        refused.
     beta_bounds : pair of floats or "fixed", default=(1e-5, 1e5)
         Bounds of `beta` where it is optimised, as in `GaussianProcessRegressor`.
 
@@ -302,9 +352,9 @@ class Wendland(RadialKernel):
     Notes
     -----
     The three polynomials printed in [2]_, Section 4.1, are those of D = 2 and D = 3
-    (the second up to the factor 3), and positive definite only for up to three
-    features. The polynomials here depend on D and hold in any dimension, at the
-    price of a function that falls the steeper, the larger D is: widen `beta` with D.
+    (the second up to the factor 3). They are positive definite only for up to three
+    features. The polynomials here depend on D and are positive definite in any
+    dimension. The function falls more steeply for larger D, so raise `beta` with D.
 
     The native space in R^d, d <= D, is the Sobolev space of order (d + 1)/2 + k. For
     `smoothness` 0 with d < 3 it is contained in that space.
@@ -313,8 +363,9 @@ class Wendland(RadialKernel):
     ----------
     .. [1] H. Wendland, "Scattered Data Approximation", Cambridge University Press,
        2004, Chapter 9.
-    .. [2] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
-       of Animal Motions over Unknown Submanifolds".
+    .. [2] N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+       for Estimation of Animal Motions over Unknown Submanifolds",
+       arXiv:2203.05646, 2022.
 
     Examples
     --------
@@ -326,19 +377,16 @@ class Wendland(RadialKernel):
     2.0
     """
 
-    # Half the smoothness, and the coefficients of q in powers of r, as functions of l.
-    _POLYNOMIALS: dict[int, tuple[int, Callable[[int], tuple[float, ...]]]] = {
-        0: (0, lambda n: (1.0,)),
-        2: (1, lambda n: (1.0, n + 1.0)),
-        4: (2, lambda n: (1.0, n + 2.0, (n**2 + 4 * n + 3) / 3)),
-        6: (
-            3,
-            lambda n: (
-                1.0,
-                n + 3.0,
-                (6 * n**2 + 36 * n + 45) / 15,
-                (n**3 + 9 * n**2 + 23 * n + 15) / 15,
-            ),
+    # Coefficients of q in rising powers of r, as functions of l.
+    _POLYNOMIALS: dict[int, Callable[[int], tuple[float, ...]]] = {
+        0: lambda n: (1.0,),
+        2: lambda n: (1.0, n + 1.0),
+        4: lambda n: (1.0, n + 2.0, (n**2 + 4 * n + 3) / 3),
+        6: lambda n: (
+            1.0,
+            n + 3.0,
+            (6 * n**2 + 36 * n + 45) / 15,
+            (n**3 + 9 * n**2 + 23 * n + 15) / 15,
         ),
     }
 
@@ -347,7 +395,7 @@ class Wendland(RadialKernel):
         beta: float = 1.0,
         smoothness: int = 2,
         dimension: int | None = None,
-        beta_bounds: tuple[float, float] | str = (1e-5, 1e5),
+        beta_bounds: Bounds = (1e-5, 1e5),
     ) -> None:
         super().__init__(beta, beta_bounds)
         self.smoothness = smoothness
@@ -360,11 +408,11 @@ class Wendland(RadialKernel):
 
     def profile(self, r: Array, n_features: int, out: Array | None = None) -> Array:
         power, q = self._polynomial(n_features)
-        r, out = _arrays(r, out)
+        r, out = _writable(r, out)
         np.minimum(r, 1.0, out=r)
-        _horner(q, r, out)
+        _evaluate_polynomial(q, r, out)
         np.subtract(1.0, r, out=r)
-        # By squaring: NumPy's own power of floats is many times as slow.
+        # By repeated squaring: NumPy's power of floats is many times slower.
         while True:
             power, odd = divmod(power, 2)
             if odd:
@@ -375,9 +423,9 @@ class Wendland(RadialKernel):
 
     def log_gradient(self, r: Array, n_features: int) -> Array:
         power, q = self._polynomial(n_features)
-        slope = tuple(i * c for i, c in enumerate(q))[1:]
         inside = np.minimum(r, 1.0)
-        falling = power * _horner(q, inside) - (1 - inside) * _horner(slope, inside)
+        slope = _evaluate_polynomial(_derivative(q), inside)
+        falling = power * _evaluate_polynomial(q, inside) - (1 - inside) * slope
         return inside * (1 - inside) ** (power - 1) * falling * (r < 1)
 
     def sobolev_order(self, n_features: int) -> float:
@@ -386,7 +434,7 @@ class Wendland(RadialKernel):
 
     def _polynomial(self, n_features: int) -> tuple[int, tuple[float, ...]]:
         """Return the exponent l + k and the coefficients of q."""
-        k, coefficients = _lookup(self._POLYNOMIALS, self.smoothness, "smoothness")
+        coefficients = _look_up(self._POLYNOMIALS, self.smoothness, "smoothness")
         dimension = max(n_features, 3) if self.dimension is None else self.dimension
         check_integer(dimension, "dimension", 1)
         if dimension < n_features:
@@ -395,6 +443,7 @@ class Wendland(RadialKernel):
                 f"{n_features} features; set dimension to at least {n_features}, or "
                 "to None to take that of the data."
             )
+        k = self.smoothness // 2
         exponent = dimension // 2 + k + 1
         return exponent + k, coefficients(exponent)
 
@@ -420,9 +469,9 @@ class Gaussian(RadialKernel):  # numpydoc ignore=PR02
 
     Notes
     -----
-    The native space lies in every Sobolev space; the price is the worst conditioning
-    of all kernels here. The smallest eigenvalue of the Gram matrix falls
-    exponentially with the separation of the centres ([1]_).
+    The native space (see :class:`RadialKernel`) lies in every Sobolev space. In return,
+    the Gram matrix is the worst conditioned of all kernels here: its smallest
+    eigenvalue falls exponentially as the centres move closer together ([1]_).
 
     References
     ----------
@@ -437,7 +486,7 @@ class Gaussian(RadialKernel):  # numpydoc ignore=PR02
     """
 
     def profile(self, r: Array, n_features: int, out: Array | None = None) -> Array:
-        r, out = _arrays(r, out)
+        r, out = _writable(r, out)
         r *= r
         r *= -0.5
         return np.exp(r, out=out)
@@ -468,9 +517,10 @@ class InverseMultiquadric(RadialKernel):  # numpydoc ignore=PR02
 
     Notes
     -----
-    Positive definite in every dimension, with slow decay: estimates fall back to
-    zero only gradually away from the centres. Its Fourier transform decays
-    exponentially, so that the native space lies in every Sobolev space ([1]_).
+    The function is positive definite in every dimension. It decays slowly, so that
+    estimates fall back to zero only gradually away from the centres. Its Fourier
+    transform decays exponentially, and hence the native space (see
+    :class:`RadialKernel`) lies in every Sobolev space ([1]_).
 
     References
     ----------
@@ -485,7 +535,7 @@ class InverseMultiquadric(RadialKernel):  # numpydoc ignore=PR02
     """
 
     def profile(self, r: Array, n_features: int, out: Array | None = None) -> Array:
-        r, out = _arrays(r, out)
+        r, out = _writable(r, out)
         r *= r
         r += 1.0
         np.sqrt(r, out=r)
@@ -509,11 +559,11 @@ KERNELS: dict[str, Callable[..., RadialKernel]] = {
     "gaussian": Gaussian,
     "inverse_multiquadric": InverseMultiquadric,
 }
-"""The kernels that estimators know by name; each takes `beta`, which defaults to 1."""
+"""The kernels that estimators accept by name; each takes `beta`, by default 1."""
 
 
 def as_kernel(kernel: Any, beta: float | None, n_features: int | None) -> Kernel:
-    """Return the kernel that an estimator's parameters mean, as a copy of its own.
+    """Return a new kernel object for the parameters `kernel` and `beta`.
 
     Parameters
     ----------
@@ -529,9 +579,15 @@ def as_kernel(kernel: Any, beta: float | None, n_features: int | None) -> Kernel
     -------
     kernel : Kernel
         With `beta` and `dimension` set.
+
+    Raises
+    ------
+    ValueError
+        If `kernel` is no kernel, `beta` is no positive number, or `beta` is given for a
+        kernel of another module.
     """
-    if isinstance(kernel, str):
-        kernel = _lookup(KERNELS, kernel, "kernel")()
+    if isinstance(kernel, str) and kernel in KERNELS:
+        kernel = KERNELS[kernel]()
     elif isinstance(kernel, Kernel):
         kernel = clone(kernel)
     else:
@@ -553,18 +609,107 @@ def as_kernel(kernel: Any, beta: float | None, n_features: int | None) -> Kernel
         if isinstance(part, Wendland) and part.dimension is None:
             part.dimension = max(n_features or 3, 3)
         if isinstance(part, RadialKernel):
-            check_number(part.beta, "beta", positive=True)
+            check_beta(part.beta)
     return kernel
 
 
-def _arrays(r: Array, out: Array | None) -> tuple[Array, Array]:
+def check_beta(beta: Any) -> None:
+    """Refuse a scale that is no finite positive number.
+
+    Parameters
+    ----------
+    beta : object
+        The scale.
+    """
+    # This runs for every kernel matrix. Floats, the usual case, need no further look.
+    if not (isinstance(beta, float) and 0 < beta < np.inf):
+        check_number(beta, "beta", positive=True)
+
+
+def scale_states(kernel: RadialKernel, X: Array) -> Array:
+    """Divide states, or distances of states, by the scale of a kernel.
+
+    States are scaled before their differences are squared. Then neither huge nor tiny
+    units overflow, and equal rows stay at distance exactly zero.
+
+    Parameters
+    ----------
+    kernel : RadialKernel
+        The kernel; its `beta` has been checked.
+    X : ndarray
+        States or distances.
+
+    Returns
+    -------
+    scaled : ndarray of the shape of `X`
+        X / beta, a new array.
+
+    Raises
+    ------
+    ValueError
+        If an entry exceeds 1e70 times beta: a profile could overflow at such distances.
+    """
+    with np.errstate(over="ignore"):
+        scaled = X / kernel.beta
+    check_extent(kernel, float(np.abs(scaled).max(initial=0.0)))
+    return scaled
+
+
+def check_extent(kernel: RadialKernel, extent: float) -> None:
+    """Refuse states with larger coordinates than any profile can be evaluated for.
+
+    Parameters
+    ----------
+    kernel : RadialKernel
+        The kernel.
+    extent : float
+        The largest modulus of a coordinate, in units of its `beta`.
+    """
+    if extent > MAX_SCALED_COORDINATE:
+        raise ValueError(
+            f"The states have values up to {extent:.3g} times beta={kernel.beta:.3g}, "
+            f"more than {MAX_SCALED_COORDINATE:.0e} times, and the kernel could "
+            "overflow at such distances; rescale the states, by StandardScaler for "
+            "example, or raise beta."
+        )
+
+
+def radial_values(
+    kernel: RadialKernel, r: Array, n_features: int, out: Array | None = None
+) -> Array:
+    """Evaluate a radial kernel at scaled distances.
+
+    Parameters
+    ----------
+    kernel : RadialKernel
+        The kernel.
+    r : ndarray
+        Distances of states from :func:`scale_states`. Overwritten if `out` is given.
+    n_features : int
+        Dimension of the space that the distances come from.
+    out : ndarray of the shape of `r`, default=None
+        Where to write the values.
+
+    Returns
+    -------
+    values : ndarray of the shape of `r`
+        The values of the kernel; `out` itself where it is given.
+    """
+    values = kernel.profile(r, n_features, out)
+    if out is None or values is out:
+        return values
+    out[...] = values  # the profile of a subclass may ignore `out`
+    return out
+
+
+def _writable(r: Array, out: Array | None) -> tuple[Array, Array]:
     """Return an array of distances to write to, and one for the values."""
     if out is None:
         return np.array(r, dtype=np.float64), np.empty(np.shape(r))
     return r, out
 
 
-def _horner(
+def _evaluate_polynomial(
     coefficients: tuple[float, ...], x: Array, out: Array | None = None
 ) -> Array:
     """Evaluate the polynomial with these coefficients in rising powers of x."""
@@ -576,7 +721,12 @@ def _horner(
     return value
 
 
-def _lookup(table: dict[Any, T], value: Any, name: str) -> T:
+def _derivative(coefficients: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the coefficients of the derivative of a polynomial."""
+    return tuple(i * c for i, c in enumerate(coefficients))[1:]
+
+
+def _look_up(table: dict[Any, T], value: Any, name: str) -> T:
     try:
         return table[value]
     except (KeyError, TypeError):

@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from numbers import Real
 from typing import Any, ClassVar
 
 import numpy as np
-from sklearn.pipeline import Pipeline
 from sklearn.utils import check_array, check_consistent_length, gen_batches
 from sklearn.utils.metadata_routing import MetadataRequest
 
+from sklearn_koopman._utils._pipeline import transformed, unwrap
 from sklearn_koopman._utils._typing import Array, Indices
 from sklearn_koopman._utils._validation import check_flag, check_integer, check_number
-from sklearn_koopman.trajectories import successor_rows
+from sklearn_koopman.trajectories import match_successors, successor_rows
 
-__all__ = ["make_forecast_scorer", "make_valid_time_scorer"]
+__all__ = [
+    "ForecastScorer",
+    "HorizonErrorScorer",
+    "ValidTimeScorer",
+    "make_forecast_scorer",
+    "make_valid_time_scorer",
+]
 
-
-# Entries of the forecasts that are held at once.
-BLOCK = 2**22
+# Largest number of forecast outputs that are held at once: 32 MB.
+MAX_ENTRIES = 2**22
 
 
 def make_forecast_scorer(
@@ -29,17 +36,18 @@ def make_forecast_scorer(
     discount: float = 1.0,
     relift: bool = False,
     error_score: str | float = np.nan,
-) -> ForecastScorer:
+) -> HorizonErrorScorer:
     """Make a scorer of the error of forecasts over a horizon.
 
-    The score is minus the root mean square error of the outputs, over all steps up to
-    `n_steps`, all rows that are followed by so many on a trajectory, and all outputs:
+    The score is minus the root mean square error of the forecasts, in the unit of the
+    outputs. The mean runs over the steps up to `n_steps`, over all outputs, and over
+    all starts: the rows that are followed by `n_steps` rows on their trajectory.
 
     .. math:: -\\Big(\\frac{\\sum_{s=1}^{S} \\gamma^{s-1} \\, e_s^2}
         {\\sum_{s=1}^{S} \\gamma^{s-1}}\\Big)^{1/2}
 
-    with the mean square error :math:`e_s^2` after s steps and the discount
-    :math:`\\gamma`.
+    where :math:`e_s^2` is the mean square error after s steps and :math:`\\gamma` the
+    discount.
 
     Parameters
     ----------
@@ -48,24 +56,26 @@ def make_forecast_scorer(
     discount : float, default=1.0
         Weight of each step relative to the one before, above 0 and at most 1.
     relift : bool, default=False
-        Passed to :meth:`KernelEDMD.forecast`.
+        Whether to relift forecasts: after each step, the operator is applied anew to
+        the forecast state. Passed to :meth:`KernelEDMD.forecast`.
     error_score : "raise" or float, default=nan
-        The score if a forecast leaves the range of numbers, or an error. Forecasts that
-        diverge but are still numbers have the score that follows from them.
+        The score if a forecast diverges beyond the range of a double; "raise" raises a
+        ValueError instead. Forecasts that diverge to finite numbers are scored as they
+        are.
 
     Returns
     -------
-    scorer : callable
-        To be called as ``scorer(estimator, X, y=None, sample_index=None)`` with a
-        fitted :class:`~sklearn_koopman.KernelEDMD` or a pipeline that ends in one, or
-        given as `scoring` to :class:`~sklearn.model_selection.GridSearchCV` and the
-        like. Without `y` the outputs are the states, as transformed by the pipeline.
+    scorer : HorizonErrorScorer
+        A callable ``scorer(estimator, X, y=None, sample_index=None)`` for a fitted
+        :class:`~sklearn_koopman.KernelEDMD` or a pipeline that ends in one. Pass it as
+        `scoring` to :class:`~sklearn.model_selection.GridSearchCV` and the like.
+        Without `y` the outputs are the states, as the pipeline transforms them.
 
     Raises
     ------
     ValueError
-        If a parameter is outside its range; from the scorer, if it cannot know which
-        rows follow each other, or no row is followed by enough others.
+        If a parameter is outside its range. The scorer raises one if it cannot find out
+        which rows follow each other, or if no row is followed by `n_steps` others.
 
     See Also
     --------
@@ -73,13 +83,18 @@ def make_forecast_scorer(
 
     Notes
     -----
-    The scorer has to know which of the held-out rows follow each other. With metadata
-    routing enabled, ``sample_index`` given to the ``fit`` of the search reaches both
-    the estimator and the scorer, and tells. Without, it can tell if `y` holds some of
-    the columns of the states: a row is followed by the one with these values, as long
-    as no other has the same. Otherwise the held-out rows are one trajectory in the
-    order of time if those of the training data were, with neither `X_next` nor
-    `sample_index`, and an error if not.
+    Forecasts are compared with the outputs of later rows, so the scorer needs to know
+    which of the held-out rows follow each other. It uses the first of these sources:
+
+    1. `sample_index`. In a search it is given to ``fit``, and reaches the scorer if
+       metadata routing is enabled.
+    2. `y`, if its columns are adjacent columns of the states. A row is followed by the
+       row whose state has these values, provided that there is only one.
+    3. The order of the rows, if the estimator was fitted with neither `X_next` nor
+       `sample_index`: the held-out rows are then taken as one trajectory.
+
+    Otherwise it raises an error. A score takes the time of the forecasts from all
+    starts. At most 4 million forecast outputs are held in memory at once.
 
     Examples
     --------
@@ -115,33 +130,35 @@ def make_forecast_scorer(
 
 def make_valid_time_scorer(
     n_steps: int, tolerance: float, *, relift: bool = False
-) -> ForecastScorer:
+) -> ValidTimeScorer:
     """Make a scorer that counts the steps until the error passes a tolerance.
 
-    The score is the number of steps before the error of a forecast, the Euclidean
-    distance of predicted and true outputs, first exceeds `tolerance`: `n_steps` if it
-    never does. It is averaged over all rows that are followed by so many on a
-    trajectory.
+    The error of a forecast is the Euclidean distance of predicted and true outputs. The
+    score is the number of steps before the error first exceeds `tolerance`, or
+    `n_steps` if it never does. It is averaged over the rows that are followed by
+    `n_steps` rows on their trajectory.
 
     Parameters
     ----------
     n_steps : int
-        The most steps that are counted.
+        The largest number of steps that is counted.
     tolerance : float
-        The largest error that is tolerated, in the unit of the outputs.
+        The largest error that counts as valid, in the unit of the outputs.
     relift : bool, default=False
-        Passed to :meth:`KernelEDMD.forecast`.
+        Whether to relift forecasts: after each step, the operator is applied anew to
+        the forecast state. Passed to :meth:`KernelEDMD.forecast`.
 
     Returns
     -------
-    scorer : callable
-        To be used as that of :func:`make_forecast_scorer`.
+    scorer : ValidTimeScorer
+        A callable like that of :func:`make_forecast_scorer`, which needs to know in the
+        same way which rows follow each other.
 
     Raises
     ------
     ValueError
-        If a parameter is outside its range; from the scorer, if it cannot know which
-        rows follow each other, or no row is followed by enough others.
+        If a parameter is outside its range. The scorer raises one if it cannot find out
+        which rows follow each other, or if no row is followed by `n_steps` others.
 
     See Also
     --------
@@ -163,13 +180,26 @@ def make_valid_time_scorer(
 
 
 @dataclass(frozen=True, repr=False)
-class ForecastScorer:
-    """Compares forecasts with what followed; see :func:`make_forecast_scorer`."""
+class ForecastScorer(ABC):
+    """Base class of scorers that compare forecasts with what followed.
+
+    Attributes
+    ----------
+    n_steps : int
+        The number of steps that are forecast.
+    relift : bool
+        Passed to :meth:`KernelEDMD.forecast`.
+
+    See Also
+    --------
+    make_forecast_scorer : Makes a scorer of the error over a horizon.
+    make_valid_time_scorer : Makes a scorer that counts valid steps.
+    """
 
     n_steps: int
     relift: bool
 
-    _name: ClassVar[str]
+    _maker: ClassVar[str]
 
     def __call__(
         self, estimator: Any, X: Any, y: Any = None, sample_index: Any = None
@@ -183,68 +213,59 @@ class ForecastScorer:
         X : array-like of shape (n_samples, n_features)
             The states.
         y : array-like of shape (n_samples,) or (n_samples, n_outputs), default=None
-            The outputs one step after each row.
+            The outputs one step after each row; by default the states.
         sample_index : array-like of shape (n_samples,), default=None
-            The place of each row on its trajectory's clock.
+            The place of each row on its trajectory, as
+            :func:`~sklearn_koopman.trajectory_pairs` returns it.
 
         Returns
         -------
         score : float
-            Greater is better.
+            The score; greater is better.
+
+        Raises
+        ------
+        TypeError
+            If the estimator has no method `forecast`.
+        ValueError
+            If it is not known which rows follow each other, if no row is followed by
+            `n_steps` others, or if `y` has another number of outputs than the forecast.
         """
         check_consistent_length(X, y, sample_index)
-        operator = estimator[-1] if isinstance(estimator, Pipeline) else estimator
+        operator, front = unwrap(estimator)
         if not hasattr(operator, "forecast"):
             raise TypeError(
                 f"{type(operator).__name__} has no method forecast; score a "
                 "KernelEDMD, or a pipeline that ends in one."
             )
-        following = self._links(operator, X, y, sample_index)
-        if isinstance(estimator, Pipeline) and len(estimator) > 1:
-            X = estimator[:-1].transform(X)
-        # Row i holds the outputs of the steps after i: its own, if y is given.
-        n = len(following)
-        chain = [np.arange(n)]
-        for _ in range(self.n_steps if y is None else self.n_steps - 1):
-            chain.append(np.where(chain[-1] < 0, -1, following[chain[-1]]))
-        steps = np.column_stack(chain[1:] if y is None else chain)
+        following = _following_rows(operator, X, y, sample_index)
+        X = transformed(front, X)
+        outputs = check_array(X if y is None else y, dtype=np.float64, ensure_2d=False)
+        outputs = outputs.reshape(len(following), -1)
+        # Given outputs of a row are those one step after it, states those of the row.
+        steps = _rows_ahead(following, self.n_steps, 1 if y is None else 0)
         starts = np.flatnonzero(steps[:, -1] >= 0)
         if len(starts) == 0:
             raise ValueError(
-                f"n_steps={self.n_steps}: none of the {n} held-out rows is "
+                f"n_steps={self.n_steps}: none of the {len(steps)} held-out rows is "
                 "followed by so many on its trajectory; lower n_steps, or leave out "
                 "whole trajectories (TrajectoryKFold)."
             )
-        outputs = check_array(X if y is None else y, dtype=np.float64, ensure_2d=False)
-        outputs = outputs.reshape(n, -1)
-        # A frame stays one, for the names of its columns.
-        take = X.iloc if hasattr(X, "iloc") else np.asarray(X)
-        size = max(BLOCK // (self.n_steps * outputs.shape[1]), 1)
-        errors = []
-        for batch in gen_batches(len(starts), size):
-            rows = starts[batch]
-            with warnings.catch_warnings():
-                # What has diverged shows in the score.
-                warnings.simplefilter("ignore", RuntimeWarning)
-                y_pred = operator.forecast(take[rows], self.n_steps, relift=self.relift)
-            y_pred = y_pred.reshape(len(rows), self.n_steps, -1)
-            if y_pred.shape[2] != outputs.shape[1]:
-                raise ValueError(
-                    f"y has {outputs.shape[1]} outputs, but the estimator forecasts "
-                    f"{y_pred.shape[2]}; score it with outputs like those of its fit."
-                )
-            with np.errstate(over="ignore", invalid="ignore"):
-                difference = y_pred - outputs[steps[rows]]
-                errors.append(np.square(difference).sum(axis=2))
+
+        def forecast(states: Any) -> Array:
+            return operator.forecast(states, self.n_steps, relift=self.relift)
+
+        squared = _squared_errors(forecast, X, outputs, starts, steps[starts])
         with np.errstate(over="ignore", invalid="ignore"):
-            return self._score(np.concatenate(errors), outputs.shape[1])
+            return self._score(squared, outputs.shape[1])
 
     def __repr__(self) -> str:
+        """Show the call that makes the scorer."""
         parameters = (f"{f.name}={getattr(self, f.name)!r}" for f in fields(self))
-        return f"{self._name}({', '.join(parameters)})"
+        return f"{self._maker}({', '.join(parameters)})"
 
     def get_metadata_routing(self) -> MetadataRequest:
-        """Ask for `sample_index`, which tells what rows follow each other.
+        """Request `sample_index`, from which the scorer knows which rows follow others.
 
         Returns
         -------
@@ -255,98 +276,128 @@ class ForecastScorer:
         request.score.add_request(param="sample_index", alias=True)
         return request
 
-    def _links(self, operator: Any, X: Any, y: Any, sample_index: Any) -> Indices:
-        """Return which row follows each row, -1 for none."""
-        n = np.shape(X)[0]
-        following = np.full(n, -1)
-        if sample_index is not None:
-            rows, successors = successor_rows(sample_index)
-            following[rows] = successors
-            return following
-        seen = _following(X, y)
-        if seen is not None:
-            return seen
-        if not getattr(operator, "_consecutive", False):
-            raise ValueError(
-                "The scorer does not know which of the held-out rows follow each "
-                "other: pass sample_index to it; in a search, to fit, with "
-                "sklearn.set_config(enable_metadata_routing=True)."
-            )
-        following[:-1] = np.arange(1, n)
-        return following
-
+    @abstractmethod
     def _score(self, squared: Array, n_outputs: int) -> float:
-        """Turn squared distances of shape (n_starts, n_steps) into a score."""
-        raise NotImplementedError
+        """Return the score for squared distances of shape (n_starts, n_steps)."""
 
 
 @dataclass(frozen=True, repr=False)
 class HorizonErrorScorer(ForecastScorer):
+    """Scorer of the error over a horizon; see :func:`make_forecast_scorer`.
+
+    Attributes
+    ----------
+    n_steps : int
+        The horizon, in steps.
+    relift : bool
+        Passed to :meth:`KernelEDMD.forecast`.
+    discount : float
+        Weight of each step relative to the one before.
+    error_score : "raise" or float
+        The score if a forecast diverges beyond the range of a double.
+
+    See Also
+    --------
+    make_forecast_scorer : Makes one, with checks of the parameters.
+    """
+
     discount: float
     error_score: str | float
 
-    _name = "make_forecast_scorer"
+    _maker = "make_forecast_scorer"
 
     def _score(self, squared: Array, n_outputs: int) -> float:
         weights = self.discount ** np.arange(self.n_steps)
         mean = np.average(squared.mean(axis=0), weights=weights)
-        if not np.isfinite(mean):
-            if isinstance(self.error_score, str):
-                raise ValueError(
-                    f"A forecast of n_steps={self.n_steps} has left the range of "
-                    "numbers; lower n_steps, or set error_score to a number."
-                )
-            return float(self.error_score)
-        return -float(np.sqrt(mean / n_outputs))
+        if np.isfinite(mean):
+            return -float(np.sqrt(mean / n_outputs))
+        if isinstance(self.error_score, str):
+            raise ValueError(
+                f"A forecast of n_steps={self.n_steps} has left the range of numbers; "
+                "lower n_steps, or set error_score to a number."
+            )
+        return float(self.error_score)
 
 
 @dataclass(frozen=True, repr=False)
 class ValidTimeScorer(ForecastScorer):
+    """Scorer that counts valid steps; see :func:`make_valid_time_scorer`.
+
+    Attributes
+    ----------
+    n_steps : int
+        The largest number of steps that is counted.
+    relift : bool
+        Passed to :meth:`KernelEDMD.forecast`.
+    tolerance : float
+        The largest error that counts as valid, in the unit of the outputs.
+
+    See Also
+    --------
+    make_valid_time_scorer : Makes one, with checks of the parameters.
+    """
+
     tolerance: float
 
-    _name = "make_valid_time_scorer"
+    _maker = "make_valid_time_scorer"
 
     def _score(self, squared: Array, n_outputs: int) -> float:
-        # NaN is no error that is tolerated.
+        # Comparisons with NaN are false: forecasts that end count as errors.
         within = squared <= self.tolerance**2
         return float(np.logical_and.accumulate(within, axis=1).sum(axis=1).mean())
 
 
-def _following(X: Any, y: Any) -> Indices | None:
-    """Find the rows whose states hold the outputs of each row, -1 for none.
+def _following_rows(operator: Any, X: Any, y: Any, sample_index: Any) -> Indices:
+    """Return the row that follows each row, or -1 if there is none."""
+    links = None
+    n = np.shape(X)[0]
+    if sample_index is not None:
+        links = successor_rows(sample_index)
+    elif y is not None:
+        links = match_successors(X, y)
+    if links is None and getattr(operator, "_consecutive", False):
+        links = np.arange(n - 1), np.arange(1, n)
+    if links is None:
+        raise ValueError(
+            "The scorer does not know which of the held-out rows follow each other: "
+            "pass sample_index to it; in a search, to fit, with "
+            "sklearn.set_config(enable_metadata_routing=True)."
+        )
+    following = np.full(n, -1)
+    following[links[0]] = links[1]
+    return following
 
-    None if outputs are no states, or those of several rows.
-    """
-    states = np.asarray(X)
-    if y is None or states.dtype.kind not in "iuf":
-        return None
-    outputs = np.asarray(y).reshape(len(states), -1)
-    width = outputs.shape[1]
-    best, best_share = None, 0.0
-    for first in range(states.shape[1] - width + 1):
-        found, ambiguous = _rows_of(outputs, states[:, first : first + width])
-        share = float(np.mean(found >= 0))
-        if ambiguous < 0.01 and share > max(0.5, best_share):
-            best, best_share = found, share
-    return best
+
+def _rows_ahead(following: Indices, n_steps: int, first: int) -> Indices:
+    """Return the rows that are `first` and more steps after each row, or -1."""
+    ahead = [np.arange(len(following))]
+    for _ in range(first + n_steps - 1):
+        ahead.append(np.where(ahead[-1] < 0, -1, following[ahead[-1]]))
+    return np.column_stack(ahead[first:])
 
 
-def _rows_of(values: Array, states: Array) -> tuple[Indices, float]:
-    """Find the row of states that each row of values equals, -1 for none or several.
-
-    The share of the latter is returned as well. The coarser precision counts.
-    """
-    precision = np.result_type(np.float32)
-    if values.dtype != precision and states.dtype != precision:
-        precision = np.result_type(values, states)
-    n = len(states)
-    _, first, group = np.unique(
-        np.vstack([states, values]).astype(precision),
-        axis=0,
-        return_index=True,
-        return_inverse=True,
-    )
-    group = group.reshape(-1)
-    times = np.bincount(group[:n], minlength=len(first))[group[n:]]
-    found = np.where(times == 1, first[group[n:]], -1)
-    return found.astype(np.intp), float(np.mean(times > 1))
+def _squared_errors(
+    forecast: Callable[[Any], Array],
+    X: Any,
+    outputs: Array,
+    starts: Indices,
+    steps: Indices,
+) -> Array:
+    """Return squared distances of forecast and true outputs, (n_starts, n_steps)."""
+    n_steps, n_outputs = steps.shape[1], outputs.shape[1]
+    take = X.iloc if hasattr(X, "iloc") else np.asarray(X)  # frames have feature names
+    errors = []
+    for batch in gen_batches(len(starts), max(MAX_ENTRIES // (n_steps * n_outputs), 1)):
+        with warnings.catch_warnings():
+            # Divergence shows in the score.
+            warnings.simplefilter("ignore", RuntimeWarning)
+            y_pred = forecast(take[starts[batch]])
+        y_pred = y_pred.reshape(*steps[batch].shape, -1)
+        if y_pred.shape[2] != n_outputs:
+            raise ValueError(
+                f"y has {n_outputs} outputs, but the estimator forecasts "
+                f"{y_pred.shape[2]}; score it with outputs like those of its fit."
+            )
+        with np.errstate(over="ignore", invalid="ignore"):
+            errors.append(np.square(y_pred - outputs[steps[batch]]).sum(axis=2))
+    return np.concatenate(errors)

@@ -7,7 +7,11 @@ from typing import Any
 from sklearn.base import BaseEstimator
 from sklearn.utils import check_random_state
 
-from sklearn_koopman._utils._validation import check_integer, check_number
+from sklearn_koopman._utils._validation import (
+    check_choice,
+    check_integer,
+    check_number,
+)
 
 __all__ = ["ConjugateGradient"]
 
@@ -17,42 +21,42 @@ PRECONDITIONERS = ("auto", "banded", "neighbors", "nystroem")
 class ConjugateGradient(BaseEstimator):
     """Preconditioned conjugate gradients, for the `solver` of a regressor.
 
-    The Gram matrix K of M centres is only multiplied with, all outputs at once. For
-    kernels of compact support it is a sparse matrix, found with a kd-tree; for others
-    its entries are evaluated anew for every product. So memory stays proportional to
-    M, times the number of neighbours, or `rank`.
+    The Gram matrix K of the M centres is used only in products with vectors, one for
+    each output. For kernels of compact support K is a sparse matrix, found with a
+    kd-tree. For other kernels its entries are evaluated anew for every product.
 
     Parameters
     ----------
     tol : float, default=1e-10
-        Largest norm of the residual of any output, relative to that of the values to
-        be met (for least squares, of the normal equations).
+        The iterations end when, for every output, the norm of the residual is at most
+        `tol` times the norm of the right-hand side. For least squares this refers to
+        the normal equations.
     max_iter : int, default=500
-        Largest number of iterations. Where they do not suffice, a `ConvergenceWarning`
-        tells the residual that was reached.
+        Largest number of iterations.
     preconditioner : {"auto", "banded", "neighbors", "nystroem"}, default="auto"
-        What makes the iterations few.
+        An approximate inverse of the matrix, which reduces the number of iterations.
 
-        - "banded": a Cholesky factor of the sparse matrix, its rows in reverse
-          Cuthill-McKee order. This is a direct solution, for kernels of compact
+        - "banded": a Cholesky factor of the sparse matrix, with its rows in reverse
+          Cuthill-McKee order. The solution is then direct. For kernels of compact
           support on centres along curves, where the band is narrow.
-        - "neighbors": a sparse factor of K^-1 ([1]_, [2]_), in which every centre is
-          conditioned on the nearest ones before it in an order from coarse to fine.
+        - "neighbors": a sparse factor of K^-1 ([1]_, [2]_). The centres are ordered
+          from coarse to fine, and each is conditioned on the nearest centres before it.
           For kernels of finite smoothness on manifolds of low dimension.
-        - "nystroem": few columns of K, chosen by randomly pivoted Cholesky
-          factorisation ([3]_). For smooth kernels with ``alpha > 0``.
-        - "auto": "banded" where that is cheap; "nystroem" where `rank` columns leave
-          a tenth of `alpha` at the most; otherwise "neighbors".
+        - "nystroem": an approximation of K by a few of its columns, chosen by randomly
+          pivoted Cholesky factorisation ([3]_). For smooth kernels with ``alpha > 0``.
+        - "auto": "banded" if the band is narrow; "nystroem" if `rank` columns leave an
+          error of at most a tenth of `alpha`; otherwise "neighbors".
     rank : int, default=500
-        Number of columns for "nystroem", and, with a preconditioner of either kind,
-        for the normal equations of least squares, which are treated as in FALKON
-        ([4]_). Memory is M x rank.
+        Number of columns for "nystroem". Least squares uses as many columns to
+        precondition its normal equations, as in FALKON ([4]_), with any
+        `preconditioner`.
     n_neighbors : int, default=None
-        Number of neighbours for "neighbors". None takes 30, and 10 for kernels of
+        Number of neighbours for "neighbors". None means 30, and 10 for kernels of
         compact support, whose matrices are better conditioned.
     random_state : int, RandomState instance or None, default=0
-        Draws the columns for "nystroem", and the vectors that estimate the effective
-        number of parameters of least squares. The solution depends on it within `tol`.
+        Seed for the choice of the columns, and for the random vectors that estimate the
+        effective number of parameters of least squares. Solutions for different seeds
+        differ by no more than `tol` allows.
 
     See Also
     --------
@@ -60,8 +64,14 @@ class ConjugateGradient(BaseEstimator):
 
     Notes
     -----
-    The parameters can be tuned as ``solver__tol`` and the like. The power function,
-    and with it `return_std`, solves one system for each state.
+    The parameters can be tuned as ``solver__tol`` and the like.
+
+    Memory is M times the number of neighbours within the support, plus M times
+    `n_neighbors` or `rank`. One iteration takes O(M) time for kernels of compact
+    support, with the number of neighbours as a factor, and O(M^2) for other kernels.
+    The fit of a regressor warns with a `ConvergenceWarning` if `max_iter` iterations do
+    not reach `tol`. The power function of a regressor, which `return_std` needs, solves
+    one system for each state.
 
     References
     ----------
@@ -114,6 +124,11 @@ def check_solver(solver: ConjugateGradient) -> None:
     ----------
     solver : ConjugateGradient
         The solver.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is outside its range.
     """
     check_number(solver.tol, "solver.tol", positive=True)
     if solver.tol >= 1:
@@ -131,8 +146,4 @@ def check_solver(solver: ConjugateGradient) -> None:
             "solver.random_state must be None, an integer from 0 to 2**32 - 1 or a "
             f"RandomState instance, got {solver.random_state!r}."
         ) from error
-    if solver.preconditioner not in PRECONDITIONERS:
-        raise ValueError(
-            f"solver.preconditioner must be one of "
-            f"{', '.join(map(repr, PRECONDITIONERS))}, got {solver.preconditioner!r}."
-        )
+    check_choice(solver.preconditioner, "solver.preconditioner", PRECONDITIONERS)

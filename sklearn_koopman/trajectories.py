@@ -1,14 +1,18 @@
-"""Pairing of samples along trajectories, and cross-validation that respects them."""
+"""Pairs of samples along trajectories, and cross-validation by trajectories."""
+
+from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.model_selection import BaseCrossValidator, GroupKFold
 from sklearn.utils import Bunch, check_array, indexable
 
-from sklearn_koopman._utils._validation import check_integer
+from sklearn_koopman._utils._rows import distinct_rows
+from sklearn_koopman._utils._typing import Array, Indices
+from sklearn_koopman._utils._validation import check_columns, check_integer
 
 __all__ = ["TrajectoryKFold", "successor_rows", "trajectory_pairs"]
 
@@ -30,31 +34,32 @@ def trajectory_pairs(
     .. math:: (x_k, x_{k-\\tau}, \\dots, x_{k-(p-1)\\tau})
 
     with the output :math:`y_{k + \\ell} = (U_{f^\\ell} G)(x_k)` for `lag`
-    :math:`\\ell`, `delays` :math:`p` and `delay_step` :math:`\\tau`. These are the
-    pairs :math:`(\\xi, \\upsilon)` of [1]_, Section 3.2. No pair straddles two
-    trajectories.
+    :math:`\\ell`, `delays` :math:`p` and `delay_step` :math:`\\tau`. Here f is the map
+    from one sample to the next, and :math:`U_f` its Koopman operator. These are the
+    pairs :math:`(\\xi, \\upsilon)` of [1]_, Section 3.2. The samples of a pair always
+    come from one trajectory.
 
     Parameters
     ----------
     trajectories : array-like of shape (n_samples, n_features), or list of them
-        One trajectory, or several of any lengths, each sampled at the same rate.
-        A NumPy array with three axes counts as a list of trajectories.
+        One trajectory, or several of any lengths, all sampled at the same rate. A NumPy
+        array with three axes is taken as a list of trajectories.
     outputs : array-like of shape (n_samples,) or (n_samples, n_outputs), or list \
 of them, default=None
-        What is to be predicted, sampled together with the states: one array a
+        The quantities to predict, sampled together with the states: one array for each
         trajectory, of the same length. By default the states themselves.
     lag : int, default=1
-        How many samples ahead the output lies.
+        Number of samples from a state to its output.
     delays : int, default=1
-        How many copies of the state a row holds, the current one included. Motion
-        that is not Markov in the measured state (real gait in joint angles) needs
-        more than one.
+        Number of copies of the state in a row, the current one included. Motion whose
+        measured state does not determine its future (such as gait in joint angles)
+        needs more than one.
     delay_step : int, default=1
-        Samples between two copies of the state.
+        Number of samples between two copies of the state.
     outputs_in_state : bool, default=False
-        Whether the current outputs, delayed like the states, join the row. They
-        stand behind all copies of the state. Use it where the output is measured
-        when predicting, too.
+        Whether to append the current outputs, delayed like the states, to each row.
+        They follow all copies of the state. Use this where the output is also measured
+        at the time of prediction.
 
     Returns
     -------
@@ -62,7 +67,7 @@ of them, default=None
         With the attributes
 
         X : ndarray of shape (n_pairs, n_columns)
-            The states, the current copy first, then older and older ones.
+            The states, the current copy first, then older ones.
         y : ndarray of shape (n_pairs,) or (n_pairs, n_outputs)
             The outputs one `lag` after each row.
         X_next : ndarray of shape (n_pairs, n_columns)
@@ -70,7 +75,8 @@ of them, default=None
         groups : ndarray of shape (n_pairs,)
             The number of the trajectory that each row comes from.
         sample_index : ndarray of shape (n_pairs,)
-            Row j succeeds row i (one `lag` later on the same trajectory) exactly if
+            The place of each row on its trajectory. Row j follows row i (one `lag`
+            later on the same trajectory) exactly if
             ``sample_index[j] == sample_index[i] + 1``.
 
     Raises
@@ -86,8 +92,9 @@ of them, default=None
 
     References
     ----------
-    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
-       of Animal Motions over Unknown Submanifolds".
+    .. [1] N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+       for Estimation of Animal Motions over Unknown Submanifolds",
+       arXiv:2203.05646, 2022.
 
     Examples
     --------
@@ -122,9 +129,7 @@ of them, default=None
         )
 
     reach = (delays - 1) * delay_step
-    parts: dict[str, list[NDArray[Any]]] = {
-        name: [] for name in ("X", "y", "X_next", "groups", "sample_index")
-    }
+    parts: list[Bunch] = []
     clock = 0
     for number, (x, y) in enumerate(zip(states, measured, strict=True)):
         if len(x) != len(y):
@@ -143,34 +148,39 @@ of them, default=None
         if outputs_in_state:
             columns = y.reshape(len(y), -1)
             state = np.hstack([state, _delay_embedding(columns, delays, delay_step)])
-        # With a lag of several samples a trajectory falls into `lag` interleaved
-        # runs, each of which is a trajectory of the lag-step map.
+        # With a lag of several samples, a trajectory consists of `lag` interleaved
+        # runs. Each of them is a trajectory of the map over `lag` samples.
         step, run = np.divmod(np.arange(n_pairs), lag)
         run_length = -(-n_pairs // lag) + 1
-        parts["X"].append(state[:n_pairs])
-        parts["y"].append(y[reach + lag :])
-        parts["X_next"].append(state[lag:])
-        parts["groups"].append(np.full(n_pairs, number))
-        parts["sample_index"].append(clock + run * run_length + step)
+        part = Bunch(
+            X=state[:n_pairs],
+            y=y[reach + lag :],
+            X_next=state[lag:],
+            groups=np.full(n_pairs, number),
+            sample_index=clock + run * run_length + step,
+        )
+        parts.append(part)
         clock += lag * run_length
-    return Bunch(**{name: np.concatenate(part) for name, part in parts.items()})
+    return Bunch(
+        **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    )
 
 
-def successor_rows(sample_index: Any) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def successor_rows(sample_index: Any) -> tuple[Indices, Indices]:
     """Find the rows that follow each other on a trajectory.
 
     Parameters
     ----------
     sample_index : array-like of shape (n_samples,)
-        The place of each row on its trajectory's clock, as
-        :func:`trajectory_pairs` gives it. The rows may be in any order.
+        The place of each row on its trajectory, as :func:`trajectory_pairs` returns it.
+        The rows may be in any order.
 
     Returns
     -------
     rows : ndarray of shape (n_links,)
         The rows that have a successor, in rising order.
     successors : ndarray of shape (n_links,)
-        For each of them the row whose index is one higher.
+        For each of these rows, the row whose index is one higher.
 
     Raises
     ------
@@ -184,17 +194,16 @@ def successor_rows(sample_index: Any) -> tuple[NDArray[np.intp], NDArray[np.intp
     (array([1, 3]), array([3, 2]))
     """
     index = np.asarray(sample_index)
-    if index.ndim != 1 or index.dtype.kind not in "iuf":
+    exact = index.dtype.kind in "iu" or (
+        index.dtype.kind == "f"
+        and (np.abs(index) < 2**53).all()
+        and np.array_equal(index, np.floor(index))
+    )
+    if index.ndim != 1 or not exact:
         raise ValueError(
-            "sample_index must be a one-dimensional array of integers, got shape "
+            "sample_index must hold integers: pass a one-dimensional array of integers "
+            "(floats from 2**53 on are not exact), got shape "
             f"{index.shape} and dtype {index.dtype}."
-        )
-    if index.dtype.kind == "f" and not (
-        (np.abs(index) < 2**53).all() and np.array_equal(index, np.floor(index))
-    ):
-        raise ValueError(
-            "sample_index must hold integers, got fractions, NaN, or floats so large "
-            "that they are not exact."
         )
     order = np.argsort(index, kind="stable")
     steps = np.diff(index[order].astype(np.int64))
@@ -212,7 +221,46 @@ def successor_rows(sample_index: Any) -> tuple[NDArray[np.intp], NDArray[np.intp
     return rows[in_order], successors[in_order]
 
 
-def _as_trajectories(data: Any, name: str) -> list[NDArray[np.float64]]:
+def match_successors(X: Any, y: Any) -> tuple[Indices, Indices] | None:
+    """Find the rows that follow each other by outputs that are columns of the states.
+
+    Row j follows row i if the outputs of row i are the values of row j in some adjacent
+    columns of the states, and of no other row.
+
+    Parameters
+    ----------
+    X : array-like of shape (n_samples, n_features)
+        The states.
+    y : array-like of shape (n_samples,) or (n_samples, n_outputs)
+        The outputs one step after each row.
+
+    Returns
+    -------
+    rows, successors : ndarrays of shape (n_links,), or None
+        As of :func:`successor_rows`, for the columns that link most rows. None if no
+        columns link more than half of them, or if 1 % of the outputs occur repeatedly.
+    """
+    states, outputs = np.asarray(X), np.asarray(y)
+    if states.dtype.kind not in "iuf" or outputs.dtype.kind not in "iuf":
+        return None
+    # Where one of them is in single precision, the other is rounded to it.
+    single = np.float32 in (states.dtype, outputs.dtype)
+    states, outputs = (a.astype("f4" if single else "f8") for a in (states, outputs))
+    n = len(states)
+    outputs = outputs.reshape(n, -1)
+    width = outputs.shape[1]
+    best, most = None, n // 2
+    for start in range(states.shape[1] - width + 1):
+        columns = states[:, start : start + width]
+        first, group, _ = distinct_rows(np.vstack([columns, outputs]))
+        occurrences = np.bincount(group[:n], minlength=len(first))[group[n:]]
+        rows = np.flatnonzero(occurrences == 1)
+        if len(rows) > most and np.mean(occurrences > 1) < 0.01:
+            best, most = (rows, first[group[n:][rows]]), len(rows)
+    return best
+
+
+def _as_trajectories(data: Any, name: str) -> list[Array]:
     """Validate one trajectory or a list of them into a list of float arrays."""
     if isinstance(data, np.ndarray) and data.dtype == object and data.ndim == 1:
         data = list(data)  # of arrays of unequal length
@@ -224,90 +272,81 @@ def _as_trajectories(data: Any, name: str) -> list[NDArray[np.float64]]:
         )
     if len(data) == 0:
         raise ValueError(f"{name} is empty; pass at least one trajectory.")
-    arrays: list[NDArray[np.float64]] = []
-    for number, item in enumerate(data):
-        label = f"{name}[{number}]"
-        try:
-            array = check_array(
-                item,
-                dtype=np.float64,
-                ensure_2d=False,
-                ensure_all_finite="allow-nan",
-                input_name=label,
-            )
-        except (ValueError, TypeError) as error:
-            raise ValueError(f"{label}: {error}") from error
-        if array.ndim != 2 and not (array.ndim == 1 and name == "outputs"):
+    arrays = [
+        _as_trajectory(item, f"{name}[{number}]", name == "outputs")
+        for number, item in enumerate(data)
+    ]
+    for number, array in enumerate(arrays):
+        if array.shape[1:] != arrays[0].shape[1:]:
             raise ValueError(
-                f"{label} has shape {array.shape}; expected (n_samples, n_features). "
-                "Pass one trajectory as a two-dimensional array, several as a list of "
-                "them, and reshape a scalar series with .reshape(-1, 1)."
-            )
-        gaps = np.flatnonzero(np.isnan(array).reshape(len(array), -1).any(axis=1))
-        if len(gaps):
-            raise ValueError(
-                f"{label} holds NaN in {len(gaps)} of {len(array)} samples, first in "
-                f"sample {gaps[0]}; fill the gaps, or split the trajectory there so "
-                "that no pair reaches across."
-            )
-        if array.shape[1:] != (arrays[0] if arrays else array).shape[1:]:
-            raise ValueError(
-                f"{label} has shape {array.shape} but {name}[0] has "
+                f"{name}[{number}] has shape {array.shape} but {name}[0] has "
                 f"{arrays[0].shape}; all must have the same columns."
             )
-        columns = getattr(item, "columns", None)
-        if columns is not None and list(columns) != list(
-            getattr(data[0], "columns", columns)
-        ):
-            raise ValueError(
-                f"{label} has columns {list(columns)} but {name}[0] has "
-                f"{list(data[0].columns)}; bring them into one order."
-            )
-        arrays.append(array)
+        check_columns(data[number], f"{name}[{number}]", data[0], f"{name}[0]")
     return arrays
 
 
-def _delay_embedding(
-    x: NDArray[np.float64], delays: int, delay_step: int
-) -> NDArray[np.float64]:
-    """Rows (x_k, x_{k-step}, ...) for every k that has all its delayed copies."""
+def _as_trajectory(item: Any, label: str, may_be_series: bool) -> Array:
+    try:
+        array: Array = check_array(
+            item,
+            dtype=np.float64,
+            ensure_2d=False,
+            ensure_all_finite="allow-nan",
+            input_name=label,
+        )
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{label}: {error}") from error
+    if array.ndim != 2 and not (array.ndim == 1 and may_be_series):
+        raise ValueError(
+            f"{label} has shape {array.shape}; expected (n_samples, n_features). "
+            "Pass one trajectory as a two-dimensional array, several as a list of "
+            "them, and reshape a scalar series with .reshape(-1, 1)."
+        )
+    gaps = np.flatnonzero(np.isnan(array).reshape(len(array), -1).any(axis=1))
+    if len(gaps):
+        raise ValueError(
+            f"{label} holds NaN in {len(gaps)} of {len(array)} samples, first in "
+            f"sample {gaps[0]}; fill the gaps, or split the trajectory there so that "
+            "no pair reaches across."
+        )
+    return array
+
+
+def _delay_embedding(x: Array, delays: int, delay_step: int) -> Array:
+    """Return the rows (x_k, x_{k-step}, ...) that have all their delayed copies."""
     reach = (delays - 1) * delay_step
-    return np.hstack(
-        [
-            x[reach - back : len(x) - back]
-            for back in range(0, reach + 1, delay_step)  # the current copy first
-        ]
-    )
+    backward = range(0, reach + 1, delay_step)
+    return np.hstack([x[reach - back : len(x) - back] for back in backward])
 
 
 class TrajectoryKFold(BaseCrossValidator):
     """K-fold cross-validation that keeps trajectories, or blocks of one, together.
 
-    Rows that follow each other on a trajectory are nearly equal. Shuffled into
-    training and test folds they flatter a model by orders of magnitude; only parts
-    of the motion that were left out as a whole tell how well it predicts.
+    Rows that follow each other on a trajectory are nearly equal. If they are shuffled
+    into training and test folds, the errors of a model appear smaller by orders of
+    magnitude than on motion that was left out as a whole.
 
     With `groups` given to :meth:`split` (one label a row, such as the `groups` of
-    :func:`trajectory_pairs`), every fold leaves out whole trajectories, and the
-    folds are balanced by their numbers of samples. Without, the rows are taken as
-    one trajectory in the order of time: every fold leaves out one contiguous block,
-    and `gap` rows on both sides of it are used neither for training nor for testing.
+    :func:`trajectory_pairs`), every fold leaves out whole trajectories, and the folds
+    have about equal numbers of samples. Without `groups`, the rows are taken as one
+    trajectory in the order of time: every fold leaves out one contiguous block, and
+    `gap` rows on both sides of the block are neither in its training nor its test set.
 
     Parameters
     ----------
     n_splits : int, default=5
         Number of folds, at least 2 and at most the number of trajectories.
     gap : int, default=0
-        Rows dropped from the training set on both sides of a block. With a lag and
-        delay-embedded states, rows closer than
-        ``lag + (delays - 1) * delay_step`` share samples: that is the gap which
-        keeps them apart. Whole trajectories share none, so with `groups` there is
-        nothing to drop and `gap` is not used.
+        Number of rows dropped from the training set on both sides of a block. With a
+        lag and delay-embedded states, rows closer than
+        ``lag + (delays - 1) * delay_step`` share samples; a `gap` of this size keeps
+        them apart. It is not used with `groups`, as trajectories share no samples.
 
     See Also
     --------
-    trajectory_pairs : Makes rows, and the `groups` to split them by.
-    sklearn.model_selection.GroupKFold : The same without blocks.
+    trajectory_pairs : Returns rows, and the `groups` to split them by.
+    sklearn.model_selection.GroupKFold : The same folds where `groups` are given.
 
     Examples
     --------
@@ -334,8 +373,8 @@ class TrajectoryKFold(BaseCrossValidator):
 
     def split(
         self, X: Any, y: Any = None, groups: Any = None
-    ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-        """Generate the row numbers of training and test set, fold by fold.
+    ) -> Iterator[tuple[Indices, Indices]]:
+        """Generate the row numbers of the training and test set of each fold.
 
         Parameters
         ----------
@@ -352,22 +391,41 @@ class TrajectoryKFold(BaseCrossValidator):
             The training rows of that fold.
         test : ndarray
             The test rows of that fold.
+
+        Raises
+        ------
+        ValueError
+            If a parameter is outside its range; if there are fewer trajectories, or
+            rows, than folds; if `gap` leaves no training rows.
         """
         self._check_parameters()
         X, y, groups = indexable(X, y, groups)
+        if groups is not None:
+            n_trajectories = len(np.unique(np.asarray(groups)))
+            if n_trajectories < self.n_splits:
+                raise ValueError(
+                    f"n_splits={self.n_splits} needs as many trajectories, but groups "
+                    f"holds {n_trajectories}; lower n_splits, or leave groups out to "
+                    "split one trajectory into blocks."
+                )
+            yield from GroupKFold(self.n_splits).split(X, y, groups)
+            return
         n_samples = X.shape[0] if hasattr(X, "shape") else len(X)
+        if n_samples < self.n_splits:
+            raise ValueError(
+                f"n_splits={self.n_splits} needs as many rows, got {n_samples}."
+            )
         rows = np.arange(n_samples)
-        for test in self._iter_test_indices(X, y, groups):
-            left_out = np.zeros(n_samples, dtype=bool)
-            left_out[test] = True
-            if groups is None:
-                left_out[max(test[0] - self.gap, 0) : test[-1] + 1 + self.gap] = True
-            if left_out.all():
+        for test in np.array_split(rows, self.n_splits):
+            train = np.delete(
+                rows, slice(max(test[0] - self.gap, 0), test[-1] + 1 + self.gap)
+            )
+            if len(train) == 0:
                 raise ValueError(
                     f"gap={self.gap} leaves no training rows beside the block of "
                     f"{len(test)} of {n_samples} rows; lower gap or raise n_splits."
                 )
-            yield rows[~left_out], test
+            yield train, test
 
     def get_n_splits(self, X: Any = None, y: Any = None, groups: Any = None) -> int:
         """Return the number of folds.
@@ -388,27 +446,6 @@ class TrajectoryKFold(BaseCrossValidator):
         """
         self._check_parameters()
         return self.n_splits
-
-    def _iter_test_indices(
-        self, X: Any = None, y: Any = None, groups: Any = None
-    ) -> Iterator[NDArray[np.intp]]:
-        if groups is not None:
-            n_trajectories = len(np.unique(np.asarray(groups)))
-            if n_trajectories < self.n_splits:
-                raise ValueError(
-                    f"n_splits={self.n_splits} needs as many trajectories, but groups "
-                    f"holds {n_trajectories}; lower n_splits, or leave groups out to "
-                    "split one trajectory into blocks."
-                )
-            for _, test in GroupKFold(self.n_splits).split(X, y, groups):
-                yield test
-            return
-        n_samples = X.shape[0] if hasattr(X, "shape") else len(X)
-        if n_samples < self.n_splits:
-            raise ValueError(
-                f"n_splits={self.n_splits} needs as many rows, got {n_samples}."
-            )
-        yield from np.array_split(np.arange(n_samples), self.n_splits)
 
     def _check_parameters(self) -> None:
         # Checked when splitting, so that the constructor only stores.

@@ -676,7 +676,10 @@ def test_memory_is_linear(order):
         ({"separation": "0.1"}, "^separation must be .*got '0.1'"),
         ({"separation": None}, "^separation must be .*got None"),
         ({"separation": [0.1]}, r"^separation must be .*got \[0.1\]"),
-        ({"order": "random"}, "^order must be 'sequential' or 'farthest', got 'ran"),
+        (
+            {"order": "random"},
+            "^order must be one of 'sequential', 'farthest', got 'ran",
+        ),
         ({"order": None}, "^order must be .*got None"),
         ({"max_centers": 0}, "^max_centers must be .* got 0"),
         ({"max_centers": -3}, "^max_centers must be .* got -3"),

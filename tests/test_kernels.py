@@ -13,7 +13,7 @@ from sklearn.base import clone
 from sklearn.gaussian_process import GaussianProcessRegressor, kernels
 from sklearn.gaussian_process.kernels import ConstantKernel, WhiteKernel
 
-from sklearn_koopman import SeparatedCenterSelector
+from sklearn_koopman import KoopmanKernelRegressor, SeparatedCenterSelector
 from sklearn_koopman.datasets import make_pendulum
 from sklearn_koopman.kernels import (
     KERNELS,
@@ -24,6 +24,7 @@ from sklearn_koopman.kernels import (
     Wendland,
     as_kernel,
 )
+from sklearn_koopman.solvers import ConjugateGradient
 
 ALL = {**KERNELS, "matern72": partial(MaternSobolev, nu=3.5)}
 every_kernel = pytest.mark.parametrize("make", ALL.values(), ids=ALL)
@@ -310,13 +311,27 @@ def test_input_is_not_written_to(make):
 @every_kernel
 def test_huge_and_tiny_distances(make):
     X = np.array([[0.0, 0], [1, 0], [0, -1], [1, 1]])
-    K, gradient = make()(1e200 * X, eval_gradient=True)
-    assert_allclose(K, np.eye(4), rtol=0, atol=1e-70)
-    assert_allclose(gradient, 0, rtol=0, atol=1e-70)
+    K, gradient = make()(1e70 * X, eval_gradient=True)
+    assert_allclose(K, np.eye(4), rtol=0, atol=1e-69)
+    assert_allclose(gradient, 0, rtol=0, atol=1e-69)
     K, gradient = make()(1e-200 * X, eval_gradient=True)
     assert_array_equal(K, 1)
     assert_array_equal(gradient, 0)
-    assert_array_equal(make()(1e200 * X, 1e-200 * X)[0], 1)
+    assert_array_equal(make()(1e70 * X, 1e-200 * X)[0], 1)
+
+
+@pytest.mark.parametrize("beta", [1.0, 1e-300, np.float64(1e-300)])
+def test_states_whose_profile_could_overflow_are_refused(beta):
+    kernel = MaternSobolev(beta)
+    for sign in (1.0, -1.0):
+        X = sign * np.array([[0.0, 0.0], [1.1e70 * beta, 0.0]])
+        message = r"up to .*1e\+70 times beta=.*rescale the states.*or raise beta"
+        with pytest.raises(ValueError, match=message):
+            kernel(X)
+        with pytest.raises(ValueError, match=message):
+            kernel(0 * X, X)
+    with pytest.raises(ValueError, match=r"up to 1e\+200"):
+        kernel([[1e200, 0.0]])
 
 
 # --- gradients and hyperparameters --------------------------------------------------
@@ -428,6 +443,8 @@ def test_repr(kernel, shown):
 # --- Gaussian processes -------------------------------------------------------------
 
 
+# A line search that stops at the rounding of the likelihood warns.
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
 @every_kernel
 def test_gaussian_process_optimises_the_scale(make):
     rng = np.random.default_rng(0)
@@ -576,19 +593,61 @@ def test_as_kernel_errors(kernel, beta, message):
         as_kernel(kernel, beta, 2)
 
 
+class Cauchy(RadialKernel):
+    def profile(self, r, n_features, out=None):
+        return 1 / (1 + r**2)
+
+    def log_gradient(self, r, n_features):
+        return 2 * r**2 / (1 + r**2) ** 2
+
+    def sobolev_order(self, n_features):
+        return np.inf
+
+
+class Hat(RadialKernel):
+    """Compact support, with a parameter of its own."""
+
+    def __init__(self, beta=1.0, power=2, beta_bounds=(1e-5, 1e5)):
+        super().__init__(beta, beta_bounds)
+        self.power = power
+
+    @property
+    def support_radius(self):
+        return self.beta
+
+    def profile(self, r, n_features, out=None):
+        return np.maximum(1 - r, 0) ** self.power
+
+    def log_gradient(self, r, n_features):
+        return self.power * r * np.maximum(1 - r, 0) ** (self.power - 1)
+
+    def sobolev_order(self, n_features):
+        return (n_features + 1) / 2
+
+
+@pytest.mark.parametrize("solver", ["auto", ConjugateGradient(tol=1e-13)])
+@pytest.mark.parametrize(
+    ("own", "same"),
+    [
+        (Cauchy(1.3), kernels.RationalQuadratic(1.3 / np.sqrt(2), 1.0)),
+        (Hat(1.3), Wendland(1.3, 0, dimension=3)),
+    ],
+)
+def test_estimators_take_kernels_of_one_s_own(own, same, solver):
+    """Their profiles return new arrays, and leave `out` as it is."""
+    rng = np.random.default_rng(5)
+    X, y = rng.uniform(size=(60, 3)), rng.normal(size=60)
+    for method in ("interpolation", "least_squares"):
+        options = {"method": method, "alpha": 0.1, "solver": solver}
+        predicted, expected = (
+            KoopmanKernelRegressor(kernel, **options).fit(X, y).predict(X + 0.05)
+            for kernel in (own, same)
+        )
+        assert_allclose(predicted, expected, rtol=1e-7, atol=1e-9)
+
+
 def test_kernels_of_one_s_own():
     """A subclass needs its profile and gradient only."""
-
-    class Cauchy(RadialKernel):
-        def profile(self, r, n_features, out=None):
-            return 1 / (1 + r**2)
-
-        def log_gradient(self, r, n_features):
-            return 2 * r**2 / (1 + r**2) ** 2
-
-        def sobolev_order(self, n_features):
-            return np.inf
-
     X = np.random.default_rng(4).normal(size=(8, 2))
     kernel = as_kernel(Cauchy(), 2.0, 2)
     _, gradient = kernel(X, eval_gradient=True)

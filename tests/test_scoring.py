@@ -21,8 +21,10 @@ from sklearn_koopman import (
     trajectory_pairs,
 )
 from sklearn_koopman.datasets import make_pendulum
+from sklearn_koopman.scoring import ForecastScorer, HorizonErrorScorer, ValidTimeScorer
 
 LENGTHS = [14, 40, 25, 31, 18, 22]
+PARTS = [(0, 700), (700, 801)]  # first start, number of starts
 
 
 @pytest.fixture(scope="module")
@@ -309,10 +311,13 @@ def test_divergence_scores_what_was_asked_for():
 
 
 def test_scorers_can_be_pickled_compared_and_read():
-    for scorer in (
-        make_forecast_scorer(5, error_score=-9.0),
-        make_valid_time_scorer(3, 0.1),
+    for scorer, kind in (
+        (make_forecast_scorer(5, error_score=-9.0), HorizonErrorScorer),
+        (make_valid_time_scorer(3, 0.1), ValidTimeScorer),
     ):
+        assert type(scorer) is kind
+        assert isinstance(scorer, ForecastScorer)
+        assert eval(repr(scorer)) == scorer
         assert pickle.loads(pickle.dumps(scorer)) == scorer
         assert clone(scorer, safe=False) == scorer
     assert repr(make_valid_time_scorer(3, 0.1)) == (
@@ -383,12 +388,19 @@ def states():
     return pairs, model.fit(pairs.X, X_next=pairs.X_next)
 
 
-def test_score_in_blocks_of_starts(states, monkeypatch):
-    pairs, model = states
-    once = make_forecast_scorer(4)(model, pairs.X, pairs.y, pairs.sample_index)
-    monkeypatch.setattr("sklearn_koopman.scoring.BLOCK", 40)
-    blocks = make_forecast_scorer(4)(model, pairs.X, pairs.y, pairs.sample_index)
-    assert blocks == pytest.approx(once, rel=1e-12)
+def test_many_starts_are_scored_in_parts():
+    """4 million forecast outputs at a time: here from about 1,000 of the starts."""
+    x = make_pendulum(3500).trajectories[0]
+    model = KernelEDMD("wendland_c4", beta=4.0, n_modes=10).fit(x[:60])
+    scorer = make_forecast_scorer(2000)
+    whole = scorer(model, x)
+    parts = [(n, scorer(model, x[first : first + n + 2000])) for first, n in PARTS]
+    expected = -np.sqrt(
+        np.average([s**2 for _, s in parts], weights=[n for n, _ in parts])
+    )
+    assert len(x) - 2000 == sum(n for n, _ in parts)
+    assert whole == pytest.approx(expected, rel=1e-9)
+    assert parts[0][1] != pytest.approx(parts[1][1], rel=1e-6)
 
 
 def test_an_error_of_the_tolerance_is_tolerated():

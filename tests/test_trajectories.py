@@ -464,5 +464,7 @@ def test_object_array_of_trajectories_is_a_list():
 def test_frames_with_columns_in_another_order_are_refused():
     pd = pytest.importorskip("pandas", reason="frames are pandas'")
     first = pd.DataFrame({"hip": [0.0, 1, 2], "knee": [10.0, 11, 12]})
-    with pytest.raises(ValueError, match=r"trajectories\[1\] has columns.*one order"):
+    with pytest.raises(
+        ValueError, match=r"trajectories\[1\] has the columns.*one order"
+    ):
         trajectory_pairs([first, first[["knee", "hip"]]])

@@ -23,7 +23,12 @@ from sklearn_koopman._matrices import _sparse
 from sklearn_koopman._matrices._polynomial import polynomial
 from sklearn_koopman._utils._parallel import by_rows, one_thread
 from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman.kernels import FAR, RadialKernel
+from sklearn_koopman.kernels import (
+    MAX_SCALED_COORDINATE,
+    RadialKernel,
+    check_extent,
+    radial_values,
+)
 
 # Writes k(X[rows], Xi[columns]) to an array of that shape.
 Tiles = Callable[[slice, slice, Array], None]
@@ -343,8 +348,11 @@ def _radial_tiles(kernel: RadialKernel, X: Array, centers: Array, exact: bool) -
     n_features = centers.shape[1]
     # Scaled before the differences are squared: neither huge nor tiny units overflow,
     # and equal rows stay at distance exactly zero.
-    x, c = X / kernel.beta, centers / kernel.beta
+    with np.errstate(over="ignore"):
+        x, c = X / kernel.beta, centers / kernel.beta
     extent = float(max(np.abs(x).max(initial=0.0), np.abs(c).max(initial=0.0)))
+    if extent > MAX_SCALED_COORDINATE:
+        check_extent(kernel, extent)
     work = np.empty(TILE_ENTRIES)
     by_products = None
     if (
@@ -360,11 +368,7 @@ def _radial_tiles(kernel: RadialKernel, X: Array, centers: Array, exact: bool) -
             by_products(rows, columns, r)
         else:
             cdist(x[rows], c[columns], out=r)
-            if extent > 1e-5 * FAR:
-                np.minimum(r, FAR, out=r)
-        values = kernel.profile(r, n_features, out)
-        if values is not out:  # one that a subclass has made
-            out[...] = values
+        radial_values(kernel, r, n_features, out)
 
     return fill
 

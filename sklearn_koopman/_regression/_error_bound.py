@@ -8,10 +8,10 @@ import numpy as np
 
 from sklearn_koopman._linalg._systems import DirectSystem
 from sklearn_koopman._matrices._polynomial import is_undetermined
+from sklearn_koopman._selection import farthest_centers
 from sklearn_koopman._utils._typing import Array
 from sklearn_koopman._utils._validation import check_number
 from sklearn_koopman._utils._warnings import warn
-from sklearn_koopman.centers import farthest_centers
 
 # Rounding error of the squared power function, relative to the kernel.
 ROUNDING = 1e-13

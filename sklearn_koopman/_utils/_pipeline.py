@@ -1,4 +1,4 @@
-"""Looking into fitted pipelines and searches."""
+"""Fitted pipelines and searches, taken apart."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from sklearn.pipeline import Pipeline
 
 
 def unwrap(estimator: Any) -> tuple[Any, Any]:
-    """Split a fitted estimator into its very last step and what comes before.
+    """Split a fitted estimator into its last step and the steps before it.
 
     Parameters
     ----------
@@ -23,15 +23,13 @@ def unwrap(estimator: Any) -> tuple[Any, Any]:
         The steps before it, if any.
     """
     fronts: list[Pipeline] = []
-    while True:
+    while isinstance(estimator, Pipeline) or hasattr(estimator, "best_estimator_"):
         if hasattr(estimator, "best_estimator_"):
             estimator = estimator.best_estimator_
-        elif isinstance(estimator, Pipeline):
-            if len(estimator) > 1:
-                fronts.append(estimator[:-1])
-            estimator = estimator[-1]
-        else:
-            break
+            continue
+        if len(estimator) > 1:
+            fronts.append(estimator[:-1])
+        estimator = estimator[-1]
     if len(fronts) < 2:
         return estimator, fronts[0] if fronts else None
     return estimator, Pipeline([(str(i), front) for i, front in enumerate(fronts)])
@@ -50,6 +48,6 @@ def transformed(front: Any, X: Any) -> Any:
     Returns
     -------
     X : array-like
-        What the last step sees.
+        The states as the last step receives them.
     """
     return X if front is None else front.transform(X)

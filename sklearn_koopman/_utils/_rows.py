@@ -117,7 +117,7 @@ def average_equal_rows(
         return first, values
     if exact:
         check_equal_rows_agree(values.means, group, numbers)
-    counts = np.bincount(group, weights=values.counts)
+    counts = np.bincount(group, weights=values.counts).astype(np.float64)
     weighted = values.counts[:, np.newaxis] * values.means
     means = _group_sums(weighted, group) / counts[:, np.newaxis]
     scatter = values.scatter + values.counts @ (values.means - means[group]) ** 2

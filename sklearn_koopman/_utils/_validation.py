@@ -1,4 +1,4 @@
-"""Checks of parameters that scikit-learn's public helpers do not cover."""
+"""Checks of parameters and data that scikit-learn's public helpers do not cover."""
 
 import math
 from collections.abc import Collection
@@ -11,7 +11,7 @@ from sklearn_koopman._utils._typing import Array
 
 
 def check_number(value: Any, name: str, *, positive: bool = False) -> None:
-    """Refuse anything but a finite number above (or at) zero, NaN included."""
+    """Refuse anything but a finite number of at least zero, or above zero."""
     is_number = isinstance(value, Real) and not isinstance(value, bool)
     number = float(value) if is_number else math.nan
     if math.isfinite(number) and (number > 0 or (number == 0 and not positive)):
@@ -21,7 +21,7 @@ def check_number(value: Any, name: str, *, positive: bool = False) -> None:
 
 
 def check_integer(value: Any, name: str, minimum: int) -> None:
-    """Refuse anything but an integer from a minimum on."""
+    """Refuse anything but an integer of at least a minimum."""
     is_integer = isinstance(value, Integral) and not isinstance(value, bool)
     if is_integer and int(value) >= minimum:
         return
@@ -29,13 +29,10 @@ def check_integer(value: Any, name: str, minimum: int) -> None:
 
 
 def check_positive(values: Any, name: str) -> Array:
-    """Return a list of numbers; refuse any that is not finite and above zero."""
+    """Return numbers as an array; refuse any that is not finite and positive."""
     numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
-    if (
-        numbers.ndim == 1
-        and numbers.size
-        and (np.isfinite(numbers) & (numbers > 0)).all()
-    ):
+    good = np.isfinite(numbers) & (numbers > 0)
+    if numbers.ndim == 1 and numbers.size and good.all():
         return numbers
     raise ValueError(
         f"{name} must be a list of positive, finite numbers, got {values!r}."
@@ -65,6 +62,16 @@ def check_parameters(
         check_number(getattr(estimator, name), name)
     for name, values in choices.items():
         check_choice(getattr(estimator, name), name, values)
+
+
+def check_columns(data: Any, name: str, other: Any, other_name: str) -> None:
+    """Refuse frames whose columns have other names, or another order."""
+    columns, others = (getattr(frame, "columns", None) for frame in (data, other))
+    if columns is not None and others is not None and list(columns) != list(others):
+        raise ValueError(
+            f"{name} has the columns {list(columns)}, but {other_name} has "
+            f"{list(others)}; bring them into one order."
+        )
 
 
 def check_magnitude(X: Array, smallest: float = 1e-150, name: str = "X") -> None:

@@ -14,10 +14,11 @@ from sklearn.base import clone
 from sklearn.gaussian_process.kernels import Kernel, WhiteKernel
 from sklearn.utils import Bunch, check_array, check_consistent_length
 
+from sklearn_koopman._selection import sequential_centers
 from sklearn_koopman._utils._pipeline import transformed, unwrap
 from sklearn_koopman._utils._typing import Array
 from sklearn_koopman._utils._validation import check_number, check_positive
-from sklearn_koopman.centers import SeparatedCenterSelector, sequential_centers
+from sklearn_koopman.centers import SeparatedCenterSelector
 from sklearn_koopman.diagnostics._conditioning import (
     condition_number,
     digits_lost,
