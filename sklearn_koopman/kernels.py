@@ -213,17 +213,18 @@ class RadialKernel(
         if eval_gradient and Y is not None:
             raise ValueError("The gradient is only defined for Y=None.")
         check_beta(self.beta)
-        x = scale_states(self, np.atleast_2d(np.asarray(X, dtype=np.float64)))
-        y = x
-        if Y is not None:
-            y = scale_states(self, np.atleast_2d(np.asarray(Y, dtype=np.float64)))
-        r = cdist(x, y)
-        K = self.profile(r, x.shape[1])
+        given = (X,) if Y is None else (X, Y)
+        scaled = scale_states(
+            self, *(np.atleast_2d(np.asarray(x, dtype=np.float64)) for x in given)
+        )
+        n_features = scaled[0].shape[1]
+        r = cdist(scaled[0], scaled[-1])
+        K = self.profile(r, n_features)
         if not eval_gradient:
             return K
         if self.hyperparameter_beta.fixed:
             return K, np.empty((*K.shape, 0))
-        return K, self.log_gradient(r, x.shape[1])[:, :, np.newaxis]
+        return K, self.log_gradient(r, n_features)[:, :, np.newaxis]
 
     def __repr__(self) -> str:
         """Show the scale and, where there are any, the further parameters."""
@@ -627,7 +628,7 @@ def check_beta(beta: Any) -> None:
         check_number(beta, "beta", positive=True)
 
 
-def scale_states(kernel: RadialKernel, X: Array) -> Array:
+def scale_states(kernel: RadialKernel, *states: Array) -> list[Array]:
     """Divide states, or distances of states, by the scale of a kernel.
 
     States are scaled before their differences are squared. Then neither huge nor tiny
@@ -637,20 +638,20 @@ def scale_states(kernel: RadialKernel, X: Array) -> Array:
     ----------
     kernel : RadialKernel
         The kernel; its `beta` has been checked.
-    X : ndarray
+    *states : ndarrays
         States or distances.
 
     Returns
     -------
-    scaled : ndarray of the shape of `X`
-        X / beta, a new array.
+    scaled : list of ndarrays
+        New arrays, the states in units of `beta`.
 
     Raises
     ------
     ValueError
         If an entry exceeds 1e70 times beta: a profile could overflow at such distances.
     """
-    largest = max(float(X.max(initial=0.0)), -float(X.min(initial=0.0)))
+    largest = float(max(max(X.max(initial=0), -X.min(initial=0)) for X in states))
     if largest / float(kernel.beta) > MAX_SCALED_COORDINATE:
         raise ValueError(
             f"The states have values up to {largest:.3g}, more than "
@@ -658,7 +659,7 @@ def scale_states(kernel: RadialKernel, X: Array) -> Array:
             "could overflow at such distances; rescale the states, by StandardScaler "
             "for example, or raise beta."
         )
-    return X / kernel.beta
+    return [X / kernel.beta for X in states]
 
 
 def radial_values(
