@@ -11,7 +11,11 @@ from scipy.spatial import KDTree
 from sklearn.utils import gen_batches
 
 from sklearn_koopman._utils._typing import Array, Indices, Mask
-from sklearn_koopman._utils._validation import check_magnitude
+from sklearn_koopman._utils._validation import (
+    MAX_MAGNITUDE,
+    MIN_MAGNITUDE,
+    check_magnitude,
+)
 
 # Rows that are compared at a time, so that temporary arrays stay in the cache.
 CHUNK_ROWS = 2**14
@@ -64,7 +68,9 @@ def select_centers(
         If the squares of the samples leave the range of a double.
     """
     # Beside states of ordinary size, tiny values may be rounded to zero.
-    check_magnitude(X, smallest=0 if known.any() else 1e-150)
+    smallest = 0.0 if known.any() else MIN_MAGNITUDE
+    if not smallest <= np.abs(X).max() <= MAX_MAGNITUDE:
+        check_magnitude(X, smallest)
     trees = trees or [KDTree(known)]
     distances, labels = nearest_centers(X, trees)
     if order == "sequential":

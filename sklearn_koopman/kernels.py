@@ -212,17 +212,18 @@ class RadialKernel(
         if eval_gradient and Y is not None:
             raise ValueError("The gradient is only defined for Y=None.")
         check_beta(self.beta)
-        x = scale_states(self, np.atleast_2d(np.asarray(X, dtype=np.float64)))
-        y = x
-        if Y is not None:
-            y = scale_states(self, np.atleast_2d(np.asarray(Y, dtype=np.float64)))
-        r = cdist(x, y)
-        K = self.profile(r, x.shape[1])
+        given = (X,) if Y is None else (X, Y)
+        scaled = scale_states(
+            self, *(np.atleast_2d(np.asarray(x, dtype=np.float64)) for x in given)
+        )
+        n_features = scaled[0].shape[1]
+        r = cdist(scaled[0], scaled[-1])
+        K = self.profile(r, n_features)
         if not eval_gradient:
             return K
         if self.hyperparameter_beta.fixed:
             return K, np.empty((*K.shape, 0))
-        return K, self.log_gradient(r, x.shape[1])[:, :, np.newaxis]
+        return K, self.log_gradient(r, n_features)[:, :, np.newaxis]
 
     def __repr__(self) -> str:
         """Show the scale and, where there are any, the further parameters."""
@@ -626,7 +627,7 @@ def check_beta(beta: Any) -> None:
         check_number(beta, "beta", positive=True)
 
 
-def scale_states(kernel: RadialKernel, X: Array) -> Array:
+def scale_states(kernel: RadialKernel, *states: Array) -> list[Array]:
     """Divide states, or distances of states, by the scale of a kernel.
 
     States are scaled before their differences are squared. Then neither huge nor tiny
@@ -636,42 +637,28 @@ def scale_states(kernel: RadialKernel, X: Array) -> Array:
     ----------
     kernel : RadialKernel
         The kernel; its `beta` has been checked.
-    X : ndarray
+    *states : ndarrays
         States or distances.
 
     Returns
     -------
-    scaled : ndarray of the shape of `X`
-        X / beta, a new array.
+    scaled : list of ndarrays
+        New arrays, the states in units of `beta`.
 
     Raises
     ------
     ValueError
         If an entry exceeds 1e70 times beta: a profile could overflow at such distances.
     """
-    with np.errstate(over="ignore"):
-        scaled = X / kernel.beta
-    check_extent(kernel, float(np.abs(scaled).max(initial=0.0)))
-    return scaled
-
-
-def check_extent(kernel: RadialKernel, extent: float) -> None:
-    """Refuse states with larger coordinates than any profile can be evaluated for.
-
-    Parameters
-    ----------
-    kernel : RadialKernel
-        The kernel.
-    extent : float
-        The largest modulus of a coordinate, in units of its `beta`.
-    """
-    if extent > MAX_SCALED_COORDINATE:
+    largest = float(max(max(X.max(initial=0), -X.min(initial=0)) for X in states))
+    if largest / float(kernel.beta) > MAX_SCALED_COORDINATE:
         raise ValueError(
-            f"The states have values up to {extent:.3g} times beta={kernel.beta:.3g}, "
-            f"more than {MAX_SCALED_COORDINATE:.0e} times, and the kernel could "
-            "overflow at such distances; rescale the states, by StandardScaler for "
-            "example, or raise beta."
+            f"The states have values up to {largest:.3g}, more than "
+            f"{MAX_SCALED_COORDINATE:.0e} times beta={kernel.beta:.3g}, and the kernel "
+            "could overflow at such distances; rescale the states, by StandardScaler "
+            "for example, or raise beta."
         )
+    return [X / kernel.beta for X in states]
 
 
 def radial_values(

@@ -26,8 +26,8 @@ from sklearn_koopman._utils._typing import Array, Indices
 from sklearn_koopman.kernels import (
     MAX_SCALED_COORDINATE,
     RadialKernel,
-    check_extent,
     radial_values,
+    scale_states,
 )
 
 # Writes k(X[rows], Xi[columns]) to an array of that shape.
@@ -352,7 +352,7 @@ def _radial_tiles(kernel: RadialKernel, X: Array, centers: Array, exact: bool) -
         x, c = X / kernel.beta, centers / kernel.beta
     extent = float(max(np.abs(x).max(initial=0.0), np.abs(c).max(initial=0.0)))
     if extent > MAX_SCALED_COORDINATE:
-        check_extent(kernel, extent)
+        scale_states(kernel, X, centers)  # which refuses them
     work = np.empty(TILE_ENTRIES)
     by_products = None
     if (

@@ -9,6 +9,9 @@ import numpy as np
 
 from sklearn_koopman._utils._typing import Array
 
+# Numbers between these have squares within the range of a double.
+MIN_MAGNITUDE, MAX_MAGNITUDE = 1e-150, 1e150
+
 
 def check_number(value: Any, name: str, *, positive: bool = False) -> None:
     """Refuse anything but a finite number of at least zero, or above zero."""
@@ -74,10 +77,10 @@ def check_columns(data: Any, name: str, other: Any, other_name: str) -> None:
         )
 
 
-def check_magnitude(X: Array, smallest: float = 1e-150, name: str = "X") -> None:
+def check_magnitude(X: Array, smallest: float = MIN_MAGNITUDE, name: str = "X") -> None:
     """Refuse states whose squared distances leave the range of a double."""
     largest = max(X.max(), -X.min())  # without a copy of all values
-    if largest > 1e150 or 0 < largest < smallest:
+    if largest > MAX_MAGNITUDE or 0 < largest < smallest:
         raise ValueError(
             f"{name} has values up to {largest:.3g}, whose squares double precision "
             f"cannot hold; rescale {name}, by StandardScaler for example."
