@@ -28,7 +28,7 @@ MAX_SAMPLES_TO_AVOID = 2000
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class CenterSelectionDisplay(Display):
+class CenterSelectionDisplay(Display):  # numpydoc ignore=PR02
     """Samples, the centres among them, and the separation of the centres.
 
     Create a display by :meth:`from_estimator`. All parameters are stored as attributes.

@@ -32,7 +32,7 @@ ALL_LOST = "all 16 digits lost"
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class ConditioningDisplay(Display):
+class ConditioningDisplay(Display):  # numpydoc ignore=PR02
     """Condition of Gram matrices against the separation distance of their centres.
 
     The Gram matrix holds the kernel of all pairs of centres. The separation distance

@@ -31,7 +31,7 @@ HEIGHT = 1.5
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class ConvergenceDisplay(Display):
+class ConvergenceDisplay(Display):  # numpydoc ignore=PR02
     """Error of an estimate against the fill distance of its centres.
 
     The fill distance is the largest distance of a sample from its nearest centre. On

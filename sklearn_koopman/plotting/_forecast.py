@@ -36,7 +36,7 @@ SAMPLES, SECONDS = "time [samples]", "time [s]"
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class ForecastDisplay(Display):
+class ForecastDisplay(Display):  # numpydoc ignore=PR02
     """Measured and predicted output over time, with a band of uncertainty.
 
     Create a display by :meth:`from_predictions` or :meth:`from_estimator`. All
@@ -338,7 +338,7 @@ class ForecastDisplay(Display):
             The display itself.
         """
         ax = self._set_axes(ax)
-        style = {"color": "k", "linewidth": 1.5, "label": TRUTH}
+        style: dict[str, Any] = {"color": "k", "linewidth": 1.5, "label": TRUTH}
         style = line_style(style, truth_kw)
         label = style["label"]
         shared = [

@@ -21,7 +21,7 @@ MIN_RESIDUAL = 1e-6
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class SpectrumDisplay(Display):
+class SpectrumDisplay(Display):  # numpydoc ignore=PR02
     """Eigenvalues of a Koopman operator, and how far to trust them.
 
     The colour is the residual: how far each eigenpair is from one of the true operator.

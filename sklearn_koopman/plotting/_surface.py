@@ -38,7 +38,7 @@ QUANTILES = (0.01, 0.99)
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class SurfaceDisplay(Display):
+class SurfaceDisplay(Display):  # numpydoc ignore=PR02
     """Estimate over a plane of states, above the motion that it was learned from.
 
     The mesh is the estimate of the next output, a function on the whole plane. The
