@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,12 +16,10 @@ from sklearn_koopman.diagnostics import fill_distance, separation_distance
 from sklearn_koopman.plotting._display import (
     BLUE,
     Display,
-    collection_style,
-    line_style,
+    Keywords,
+    merge_style,
 )
 from sklearn_koopman.plotting._inputs import find_centers, resolve_names
-
-__all__ = ["CenterSelectionDisplay"]
 
 # Up to this many samples matplotlib looks for the best place of the legend.
 MAX_SAMPLES_TO_AVOID = 2000
@@ -175,9 +173,9 @@ class CenterSelectionDisplay(Display):  # numpydoc ignore=PR02
         self,
         ax: Any = None,
         *,
-        sample_kw: Mapping[str, Any] | None = None,
-        center_kw: Mapping[str, Any] | None = None,
-        circle_kw: Mapping[str, Any] | None = None,
+        sample_kw: Keywords = None,
+        center_kw: Keywords = None,
+        circle_kw: Keywords = None,
     ) -> CenterSelectionDisplay:
         """Draw samples, centres and circles.
 
@@ -210,10 +208,10 @@ class CenterSelectionDisplay(Display):  # numpydoc ignore=PR02
         style: dict[str, Any]
         style = {"color": "0.7", "markersize": sample_size, "label": "samples"}
         (self.samples_,) = ax.plot(
-            *self.samples[:, columns].T, **line_style(dots | style, sample_kw)
+            *self.samples[:, columns].T, **merge_style(dots | style, sample_kw)
         )
         style = {"color": BLUE, "markersize": size, "label": "centres"}
-        (self.centers_,) = ax.plot(*centers.T, **line_style(dots | style, center_kw))
+        (self.centers_,) = ax.plot(*centers.T, **merge_style(dots | style, center_kw))
         handles = [self.samples_, self.centers_]
         self.circles_ = None
         is_plane = self.centers.shape[1] == 2
@@ -221,7 +219,9 @@ class CenterSelectionDisplay(Display):  # numpydoc ignore=PR02
             style = {"facecolor": "none", "edgecolor": BLUE, "linewidth": size / 8}
             self.circles_ = PatchCollection(
                 [Circle((x, y), self.separation) for x, y in centers],
-                **collection_style(style | {"alpha": 0.6, "zorder": 1.5}, circle_kw),
+                **merge_style(
+                    style | {"alpha": 0.6, "zorder": 1.5}, circle_kw, collection=True
+                ),
             )
             ax.add_collection(self.circles_)
             # A collection of patches has no entry in a legend of its own.

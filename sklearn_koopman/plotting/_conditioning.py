@@ -13,16 +13,15 @@ from sklearn_koopman._utils._validation import check_choice
 from sklearn_koopman.diagnostics import conditioning_study
 from sklearn_koopman.plotting._display import (
     Display,
+    Keywords,
     curve_style,
     draw_curve,
     finish_curves,
-    line_style,
+    merge_style,
     slope_text,
     with_unit,
 )
 from sklearn_koopman.plotting._inputs import check_study, kernel_name
-
-__all__ = ["ConditioningDisplay"]
 
 QUANTITIES = {
     "condition_number": "condition number",
@@ -212,11 +211,7 @@ class ConditioningDisplay(Display):  # numpydoc ignore=PR02
         return cls.from_study(study, **display_kw)
 
     def plot(
-        self,
-        ax: Any = None,
-        *,
-        line_kw: Mapping[str, Any] | None = None,
-        lost_kw: Mapping[str, Any] | None = None,
+        self, ax: Any = None, *, line_kw: Keywords = None, lost_kw: Keywords = None
     ) -> ConditioningDisplay:
         """Draw the curves.
 
@@ -238,14 +233,14 @@ class ConditioningDisplay(Display):  # numpydoc ignore=PR02
         curves = zip(self.separation_distance, self.values, self.labels, strict=True)
         for q, values, label in curves:
             style = {**curve_style(ax, [ALL_LOST]), "label": label}
-            line = draw_curve(ax, q, values, line_style(style, line_kw))
+            line = draw_curve(ax, q, values, merge_style(style, line_kw))
             self.lines_.append(line)
         self.lost_ = None
         limit = 1 / np.finfo(np.float64).eps
         if self.quantity == "condition_number" and np.max(self.values) > limit / 1e3:
             drawn = [line for line in ax.lines if line.get_label() == ALL_LOST]
             style = {"color": "0.3", "linestyle": ":", "linewidth": 1}
-            style = line_style({**style, "label": ALL_LOST}, lost_kw)
+            style = merge_style({**style, "label": ALL_LOST}, lost_kw)
             self.lost_ = drawn[0] if drawn else ax.axhline(limit, **style)
         xlabel = with_unit("separation distance", self.state_unit)
         finish_curves(ax, self.legend_title, xlabel, QUANTITIES[self.quantity])

@@ -13,17 +13,16 @@ from sklearn_koopman._utils._validation import check_choice
 from sklearn_koopman.diagnostics import convergence_study
 from sklearn_koopman.plotting._display import (
     Display,
+    Keywords,
     curve_style,
     draw_curve,
     drawable,
     finish_curves,
-    line_style,
+    merge_style,
     slope_text,
     with_unit,
 )
 from sklearn_koopman.plotting._inputs import check_study, kernel_name
-
-__all__ = ["ConvergenceDisplay"]
 
 ERRORS = {"sup_error": "largest error", "rms_error": "root mean square error"}
 # The guaranteed slope is drawn above the errors, at this multiple of the nearest one.
@@ -222,11 +221,7 @@ class ConvergenceDisplay(Display):  # numpydoc ignore=PR02
         return cls.from_study(study, **display_kw)
 
     def plot(
-        self,
-        ax: Any = None,
-        *,
-        line_kw: Mapping[str, Any] | None = None,
-        bound_kw: Mapping[str, Any] | None = None,
+        self, ax: Any = None, *, line_kw: Keywords = None, bound_kw: Keywords = None
     ) -> ConvergenceDisplay:
         """Draw the errors and the guaranteed slope.
 
@@ -246,7 +241,7 @@ class ConvergenceDisplay(Display):  # numpydoc ignore=PR02
         ax = self._set_axes(ax)
         h, error = np.asarray(self.fill_distance), np.asarray(self.error)
         used = np.full(len(h), True) if self.used is None else np.asarray(self.used)
-        style = line_style({**curve_style(ax), "label": self._label()}, line_kw)
+        style = merge_style({**curve_style(ax), "label": self._label()}, line_kw)
         self.line_ = draw_curve(ax, h[used], error[used], style)
         self.unused_ = self.bound_ = None
         if drawable(h[~used], error[~used]).any():
@@ -261,7 +256,7 @@ class ConvergenceDisplay(Display):  # numpydoc ignore=PR02
             (self.bound_,) = ax.loglog(
                 x[[0, -1]],
                 height * x[[0, -1]] ** self.guaranteed_slope,
-                **line_style({**style, "label": "_guaranteed"}, bound_kw),
+                **merge_style({**style, "label": "_guaranteed"}, bound_kw),
             )
         title = f"slope ± {self.confidence:.0%} interval"
         labels = {line.get_label() for line in ax.lines}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.ndimage import binary_dilation
@@ -17,6 +17,9 @@ BLUE, ORANGE, GREEN, *_ = COLORS
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 # Room for a row of legend entries above the curves, as a fraction of their range.
 HEADROOM = 0.15
+
+# Keyword arguments for an artist of matplotlib.
+Keywords: TypeAlias = Mapping[str, Any] | None
 
 
 class Display:
@@ -42,31 +45,14 @@ class Display:
         return ax
 
 
-def line_style(
-    defaults: Mapping[str, Any], given: Mapping[str, Any] | None
+def merge_style(
+    defaults: Mapping[str, Any], given: Keywords, *, collection: bool = False
 ) -> dict[str, Any]:
-    """Let the caller's keyword arguments of a line replace the defaults."""
-    from matplotlib.lines import Line2D
+    """Let keyword arguments of the caller, under any alias, replace the defaults."""
+    from matplotlib import cbook, collections, lines
 
-    return _merged(Line2D, defaults, given)
-
-
-def collection_style(
-    defaults: Mapping[str, Any], given: Mapping[str, Any] | None
-) -> dict[str, Any]:
-    """Let the caller's keyword arguments of a collection replace the defaults."""
-    from matplotlib.collections import Collection
-
-    return _merged(Collection, defaults, given)
-
-
-def _merged(
-    artist: Any, defaults: Mapping[str, Any], given: Mapping[str, Any] | None
-) -> dict[str, Any]:
-    from matplotlib.cbook import normalize_kwargs
-
-    # Without this a short name such as `lw` would stand beside the full one.
-    return {**defaults, **normalize_kwargs(dict(given or {}), artist)}
+    artist: Any = collections.Collection if collection else lines.Line2D
+    return {**defaults, **cbook.normalize_kwargs(dict(given or {}), artist)}
 
 
 def count_curves(ax: Any, uncounted: Collection[str] = ()) -> int:

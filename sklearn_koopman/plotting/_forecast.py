@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 from sklearn.utils import check_consistent_length
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_koopman._utils._pipeline import unwrap
+from sklearn_koopman._utils._pipeline import transformed, unwrap
 from sklearn_koopman._utils._typing import Array
 from sklearn_koopman._utils._validation import (
     check_choice,
@@ -21,15 +20,13 @@ from sklearn_koopman._utils._validation import (
 from sklearn_koopman.plotting._display import (
     COLORS,
     Display,
-    collection_style,
+    Keywords,
     count_curves,
     limit_view,
-    line_style,
+    merge_style,
     with_unit,
 )
 from sklearn_koopman.plotting._inputs import predict_one_step, select_output, times_of
-
-__all__ = ["ForecastDisplay"]
 
 TRUTH = "measured"
 SAMPLES, SECONDS = "time [samples]", "time [s]"
@@ -188,8 +185,7 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
         if bound is not None:
             bound = np.asarray(bound, dtype=np.float64)
             bound = np.full(n_times, bound) if bound.ndim == 0 else bound
-            is_shared = bound.reshape(len(bound), -1).shape[1] == 1
-            column = 0 if is_shared else output
+            column = 0 if bound[:1].size == 1 else output
             bound = select_output(bound, column, n_times, "bound")
             if (bound < 0).any():
                 raise ValueError(
@@ -280,32 +276,35 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
             check_number(dt, "dt", positive=True)
         y = np.asarray(y)
         check_consistent_length(X, y)
-        needed = start + 1
-        if n_steps is not None:
+        if n_steps is None:
+            rows = slice(start, None)
+            needed = start + 1
+        else:
             check_integer(n_steps, "n_steps", 1)
-            needed += lag * (n_steps - 1)
+            needed = start + lag * (n_steps - 1) + 1
+            rows = slice(start, needed, lag)
         if len(y) < needed:
             raise ValueError(
                 f"start={start}, lag={lag} and n_steps={n_steps} need {needed} rows, "
                 f"got {len(y)}; lower start or n_steps, or give more rows."
             )
         final, scaler = unwrap(estimator)
-        states = X if scaler is None else scaler.transform(X)
+        states = transformed(scaler, X)
         taken = slice(start, None if n_steps is None else start + 1)
         states = states.iloc[taken] if hasattr(states, "iloc") else states[taken]
+        truth, bound, label = y[rows], None, "bound"
         if n_steps is None:
-            truth, ahead = y[start:], lag + np.arange(len(y) - start)
             predicted, bound, label = predict_one_step(final, states, band, norm)
-        else:
-            if not hasattr(final, "forecast") or band is not None:
-                raise ValueError(
-                    f"n_steps={n_steps} asks for a forecast, which takes a KernelEDMD "
-                    f"and has no band; got {type(final).__name__} and band={band!r}. "
-                    "With n_steps=None predictions are one step ahead."
-                )
-            truth, ahead = y[start::lag][:n_steps], lag * np.arange(1, n_steps + 1)
+            ahead = lag + np.arange(len(truth))
+        elif hasattr(final, "forecast") and band is None:
             predicted = final.forecast(states, n_steps, relift=relift)[0]
-            bound, label = None, "bound"
+            ahead = lag * np.arange(1, n_steps + 1)
+        else:
+            raise ValueError(
+                f"n_steps={n_steps} asks for a forecast, which takes a KernelEDMD "
+                f"and has no band; got {type(final).__name__} and band={band!r}. "
+                "With n_steps=None predictions are one step ahead."
+            )
         display_kw.setdefault("bound_label", label)
         display_kw.setdefault("time_label", SAMPLES if dt is None else SECONDS)
         time = ahead * (1 if dt is None else dt)
@@ -317,9 +316,9 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
         self,
         ax: Any = None,
         *,
-        truth_kw: Mapping[str, Any] | None = None,
-        prediction_kw: Mapping[str, Any] | None = None,
-        band_kw: Mapping[str, Any] | None = None,
+        truth_kw: Keywords = None,
+        prediction_kw: Keywords = None,
+        band_kw: Keywords = None,
     ) -> ForecastDisplay:
         """Draw the measured output, the prediction and the band.
 
@@ -339,7 +338,7 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
         """
         ax = self._set_axes(ax)
         style: dict[str, Any] = {"color": "k", "linewidth": 1.5, "label": TRUTH}
-        style = line_style(style, truth_kw)
+        style = merge_style(style, truth_kw)
         label = style["label"]
         shared = [
             line
@@ -352,7 +351,7 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
         drawn = shared or ax.plot(self.time, self.y_true, **style)
         self.truth_ = drawn[0]
         style = {"color": color, "linestyle": "--", "linewidth": 1.5}
-        style = line_style(style | {"label": self.name}, prediction_kw)
+        style = merge_style(style | {"label": self.name}, prediction_kw)
         (self.prediction_,) = ax.plot(self.time, self.y_pred, **style)
         self.band_ = None
         if self.bound is not None:
@@ -362,7 +361,7 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
                 self.time,
                 self.y_pred - self.bound,
                 self.y_pred + self.bound,
-                **collection_style(style, band_kw),
+                **merge_style(style, band_kw, collection=True),
             )
         limit_view(ax, self.y_true)
         ax.set(xlabel=self.time_label, ylabel=with_unit(self.output_name, self.unit))

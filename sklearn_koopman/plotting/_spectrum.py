@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,9 +11,7 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_koopman._utils._pipeline import unwrap
 from sklearn_koopman._utils._typing import Array, Complex
 from sklearn_koopman._utils._validation import check_flag
-from sklearn_koopman.plotting._display import Display, collection_style, line_style
-
-__all__ = ["SpectrumDisplay"]
+from sklearn_koopman.plotting._display import Display, Keywords, merge_style
 
 # All smaller residuals have the same colour.
 MIN_RESIDUAL = 1e-6
@@ -118,8 +115,8 @@ class SpectrumDisplay(Display):  # numpydoc ignore=PR02
         ax: Any = None,
         *,
         colorbar: bool = True,
-        scatter_kw: Mapping[str, Any] | None = None,
-        circle_kw: Mapping[str, Any] | None = None,
+        scatter_kw: Keywords = None,
+        circle_kw: Keywords = None,
     ) -> SpectrumDisplay:
         """Draw the eigenvalues and the unit circle.
 
@@ -161,7 +158,7 @@ class SpectrumDisplay(Display):  # numpydoc ignore=PR02
         angle = np.linspace(0, 2 * np.pi, 400)
         style: dict[str, Any] = {"color": "0.8", "linewidth": 1, "zorder": 0}
         (self.circle_,) = ax.plot(
-            np.cos(angle), np.sin(angle), **line_style(style, circle_kw)
+            np.cos(angle), np.sin(angle), **merge_style(style, circle_kw)
         )
         style = {"cmap": "viridis_r", "norm": LogNorm(low, 1.0), "s": 30}
         style |= {"edgecolor": "0.3", "linewidth": 0.4}
@@ -169,7 +166,7 @@ class SpectrumDisplay(Display):  # numpydoc ignore=PR02
             self.eigenvalues.real[order],
             self.eigenvalues.imag[order],
             c=shown[order],
-            **collection_style(style, scatter_kw),
+            **merge_style(style, scatter_kw, collection=True),
         )
         self.colorbar_ = None
         if colorbar:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,9 +18,9 @@ from sklearn_koopman.plotting._display import (
     GREEN,
     ORANGE,
     Display,
-    collection_style,
+    Keywords,
     cut_surface,
-    line_style,
+    merge_style,
 )
 from sklearn_koopman.plotting._inputs import (
     locate_centers,
@@ -28,8 +28,6 @@ from sklearn_koopman.plotting._inputs import (
     resolve_names,
     select_output,
 )
-
-__all__ = ["SurfaceDisplay"]
 
 # Surfaces are drawn this far beyond the outputs, as a fraction of their range.
 MARGIN = 0.25
@@ -243,11 +241,11 @@ class SurfaceDisplay(Display):  # numpydoc ignore=PR02
         self,
         ax: Any = None,
         *,
-        estimate_kw: Mapping[str, Any] | None = None,
-        truth_kw: Mapping[str, Any] | None = None,
-        sample_kw: Mapping[str, Any] | None = None,
-        center_kw: Mapping[str, Any] | None = None,
-        interpolated_kw: Mapping[str, Any] | None = None,
+        estimate_kw: Keywords = None,
+        truth_kw: Keywords = None,
+        sample_kw: Keywords = None,
+        center_kw: Keywords = None,
+        interpolated_kw: Keywords = None,
         legend: bool = True,
     ) -> SurfaceDisplay:
         """Draw the surfaces, the samples and the centres.
@@ -289,7 +287,7 @@ class SurfaceDisplay(Display):  # numpydoc ignore=PR02
         handles: list[Any] = []
 
         def _surface(values: Array, label: str, defaults: Any, given: Any) -> Any:
-            kw = collection_style(defaults, given)
+            kw = merge_style(defaults, given, collection=True)
             values = cut_surface(values, low, high)
             drawn = ax.plot_surface(self.xx0, self.xx1, values, **kw)
             color = kw.get("color", kw.get("facecolor"))
@@ -300,7 +298,7 @@ class SurfaceDisplay(Display):  # numpydoc ignore=PR02
             return drawn
 
         def _points(x: Array, z: Any, defaults: Any, given: Any) -> Any:
-            kw = line_style({"linestyle": "none", "marker": "o"} | defaults, given)
+            kw = merge_style({"linestyle": "none", "marker": "o"} | defaults, given)
             (drawn,) = ax.plot(*x.T, z, **kw)
             handles.append(drawn)
             return drawn
