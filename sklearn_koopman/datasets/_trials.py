@@ -67,10 +67,8 @@ def load_trials(path: str | os.PathLike[str]) -> Bunch:
     [(3, 3), (2, 3)]
     """
     where = os.fspath(path)
-    if not os.path.isfile(where):
-        raise FileNotFoundError(f"{where} is not a file; check the path and the name.")
     try:
-        with np.load(where) as archive:
+        with open(where, "rb") as file, np.load(file) as archive:
             arrays = dict(archive)
     except (ValueError, TypeError, EOFError, BadZipFile) as error:
         raise ValueError(
