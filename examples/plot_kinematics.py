@@ -19,7 +19,7 @@ goes the same way::
 
     python examples/plot_kinematics.py --data walking.npz --samples 5000
 
-What differs from the print, and why:
+What differs from the printed paper, and why:
 
 - "0.5 radians" cannot have been the separation: it would leave a handful of centres,
   the number is printed. On a selection of the paper's treadmill recordings a separation
@@ -38,6 +38,9 @@ What differs from the print, and why:
   copies of the angles) it does better.
 - Of the two outputs the paper finds the height nearly constant next to the forward
   coordinate; the ranges are printed.
+
+The paper is N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+for Estimation of Animal Motions over Unknown Submanifolds", arXiv:2203.05646, 2022.
 """
 
 import argparse

@@ -1,5 +1,6 @@
 """Modules that are imported when they are first used."""
 
+import inspect
 import subprocess
 import sys
 
@@ -74,3 +75,19 @@ def test_other_names_are_no_attributes():
     for name in sklearn_koopman.__all__:
         assert hasattr(sklearn_koopman, name)
         assert name in dir(sklearn_koopman)
+
+
+@pytest.mark.parametrize("module", LAZY)
+def test_signatures_fit_on_a_screen(module):
+    module = getattr(sklearn_koopman, module)
+    for name in module.__all__:
+        member = getattr(module, name)
+        members = [member]
+        if inspect.isclass(member):
+            members += [
+                method
+                for key, method in inspect.getmembers(member, callable)
+                if not key.startswith("_")
+            ]
+        for one in members:
+            assert len(str(inspect.signature(one))) < 400, one

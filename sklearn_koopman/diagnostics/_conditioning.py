@@ -67,9 +67,9 @@ def condition_number(
     -----
     For up to 1,500 centres all eigenvalues are computed. For more, the largest
     eigenvalues of the matrix and of its inverse are found to three digits or better by
-    the Lanczos method, with a Cholesky factor for the inverse. Where that fails, the
-    matrix is reduced to tridiagonal form, which takes several times as long. The time
-    is O(n_centers^3), the memory one or two matrices of n_centers^2 numbers.
+    the Lanczos method, with a Cholesky factor for the inverse. Where that fails, all
+    eigenvalues are computed, which takes several times as long. The time is
+    O(n_centers^3), the memory one or two matrices of n_centers^2 numbers.
 
     Examples
     --------
@@ -231,42 +231,25 @@ def extreme_eigenvalues(
 def _extremes(K: Array, max_dense: int) -> tuple[float, float]:
     """Return the extreme eigenvalues of a matrix given by its lower triangle."""
     n = len(K)
-    if n <= max_dense:
-        values = eigvalsh(K, check_finite=False)
-        return float(values[0]), float(values[-1])
-    largest = _largest(lambda x: dsymv(1.0, K, x, lower=1), n)
-    if largest is None:
-        largest = _eigenvalue(K, n - 1)
-    inverse = None
-    with suppress(np.linalg.LinAlgError):
-        factor = cholesky(K, lower=True, check_finite=False)
-        inverse = _largest(lambda x: dpotrs(factor, x, lower=1)[0].ravel(), n)
-    # Without an inverse K is not positive definite, or Lanczos does not converge.
-    return _eigenvalue(K, 0) if inverse is None else 1 / inverse, largest
+    # Not for matrices without a Cholesky factor, or where Lanczos does not converge.
+    if n > max_dense:
+        with suppress(np.linalg.LinAlgError, ArpackNoConvergence):
+            largest = _largest(lambda x: dsymv(1.0, K, x, lower=1), n)
+            factor = cholesky(K, lower=True, check_finite=False)
+            inverse = _largest(lambda x: dpotrs(factor, x, lower=1)[0].ravel(), n)
+            return 1 / inverse, largest
+    values = eigvalsh(K, check_finite=False)
+    return float(values[0]), float(values[-1])
 
 
-def _eigenvalue(K: Array, number: int) -> float:
-    """Return one eigenvalue, counted from the smallest one."""
-    selected = [number, number]
-    return float(eigvalsh(K, subset_by_index=selected, check_finite=False)[0])
-
-
-def _largest(product: Callable[[Array], Array], n: int) -> float | None:
-    """Return the largest eigenvalue by the Lanczos method; None if it is not found."""
+def _largest(product: Callable[[Array], Array], n: int) -> float:
+    """Return the largest eigenvalue of a matrix by the Lanczos method."""
     operator = LinearOperator(
         (n, n), matvec=lambda x: product(x.ravel()), dtype=np.float64
     )
     # Any start but an eigenvector will do; a fixed one makes results repeatable. The
     # tolerance is that of the eigenvector: the eigenvalue is far more accurate.
     start = np.random.RandomState(0).standard_normal(n)
-    options: dict[str, Any] = {
-        "k": 1,
-        "which": "LA",
-        "v0": start,
-        "maxiter": 50,
-        "tol": 1e-3,
-    }
-    try:
-        return float(eigsh(operator, return_eigenvectors=False, **options)[0])
-    except ArpackNoConvergence:
-        return None
+    options: dict[str, Any] = {"k": 1, "which": "LA", "v0": start}
+    options |= {"maxiter": 50, "tol": 1e-3, "return_eigenvectors": False}
+    return float(eigsh(operator, **options)[0])

@@ -383,7 +383,7 @@ def measure(
     metric: str,
     n_neighbors: int | None = None,
     trajectory: Array | None = None,
-) -> Euclidean | Geodesic:
+) -> _Euclidean | _Geodesic:
     """Prepare the distances of centres; warn where paths follow a trajectory.
 
     Parameters
@@ -401,7 +401,7 @@ def measure(
 
     Returns
     -------
-    distances : Euclidean or Geodesic
+    distances : _Euclidean or _Geodesic
         With methods that compute the fill and the separation distance.
     """
     check_choice(metric, "metric", ("euclidean", "geodesic"))
@@ -415,10 +415,10 @@ def measure(
             f"centers has {centers.shape[1]} features, but reference has "
             f"{reference.shape[1]}; they must be states of the same kind (and scale)."
         )
-    straight = Euclidean(centers, reference)
+    straight = _Euclidean(centers, reference)
     if metric == "euclidean":
         return straight
-    paths = Geodesic(centers, reference, n_neighbors)
+    paths = _Geodesic(centers, reference, n_neighbors)
     trajectory = reference if trajectory is None else trajectory
     apart = float(np.median(_return_distances(trajectory)))
     # Twice: neighbourhoods have to reach well into the next passage.
@@ -434,7 +434,7 @@ def measure(
     return paths
 
 
-class Euclidean:
+class _Euclidean:
     """Distances of centres through the space around the manifold."""
 
     def __init__(self, centers: Array, reference: Array) -> None:
@@ -454,7 +454,7 @@ class Euclidean:
         return float(_neighbor_distances(self.tree, self.centers, [2]).min()) / 2
 
 
-class Geodesic:
+class _Geodesic:
     """Lengths of shortest paths from the centres in a graph of all points."""
 
     def __init__(

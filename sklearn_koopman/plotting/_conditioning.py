@@ -12,11 +12,8 @@ from sklearn_koopman._utils._typing import Array
 from sklearn_koopman._utils._validation import check_choice
 from sklearn_koopman.diagnostics import conditioning_study
 from sklearn_koopman.plotting._display import (
-    Display,
+    CurveDisplay,
     Keywords,
-    curve_style,
-    draw_curve,
-    finish_curves,
     merge_style,
     slope_text,
     with_unit,
@@ -31,7 +28,7 @@ ALL_LOST = "all 16 digits lost"
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class ConditioningDisplay(Display):  # numpydoc ignore=PR02
+class ConditioningDisplay(CurveDisplay):  # numpydoc ignore=PR02
     """Condition of Gram matrices against the separation distance of their centres.
 
     The Gram matrix holds the kernel of all pairs of centres. The separation distance
@@ -229,12 +226,11 @@ class ConditioningDisplay(Display):  # numpydoc ignore=PR02
         """
         check_choice(self.quantity, "quantity", QUANTITIES)
         ax = self._set_axes(ax)
-        self.lines_ = []
         curves = zip(self.separation_distance, self.values, self.labels, strict=True)
-        for q, values, label in curves:
-            style = {**curve_style(ax, [ALL_LOST]), "label": label}
-            line = draw_curve(ax, q, values, merge_style(style, line_kw))
-            self.lines_.append(line)
+        self.lines_ = [
+            self._draw_curve(q, y, self._next_style(label, line_kw, [ALL_LOST]))
+            for q, y, label in curves
+        ]
         self.lost_ = None
         limit = 1 / np.finfo(np.float64).eps
         if self.quantity == "condition_number" and np.max(self.values) > limit / 1e3:
@@ -243,7 +239,7 @@ class ConditioningDisplay(Display):  # numpydoc ignore=PR02
             style = merge_style({**style, "label": ALL_LOST}, lost_kw)
             self.lost_ = drawn[0] if drawn else ax.axhline(limit, **style)
         xlabel = with_unit("separation distance", self.state_unit)
-        finish_curves(ax, self.legend_title, xlabel, QUANTITIES[self.quantity])
+        self._finish(self.legend_title, xlabel, QUANTITIES[self.quantity])
         return self
 
 

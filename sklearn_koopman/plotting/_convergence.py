@@ -12,12 +12,8 @@ from sklearn_koopman._utils._typing import Array, Mask
 from sklearn_koopman._utils._validation import check_choice
 from sklearn_koopman.diagnostics import convergence_study
 from sklearn_koopman.plotting._display import (
-    Display,
+    CurveDisplay,
     Keywords,
-    curve_style,
-    draw_curve,
-    drawable,
-    finish_curves,
     merge_style,
     slope_text,
     with_unit,
@@ -30,7 +26,7 @@ HEIGHT = 1.5
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class ConvergenceDisplay(Display):  # numpydoc ignore=PR02
+class ConvergenceDisplay(CurveDisplay):  # numpydoc ignore=PR02
     """Error of an estimate against the fill distance of its centres.
 
     The fill distance is the largest distance of a sample from its nearest centre. On
@@ -241,13 +237,12 @@ class ConvergenceDisplay(Display):  # numpydoc ignore=PR02
         ax = self._set_axes(ax)
         h, error = np.asarray(self.fill_distance), np.asarray(self.error)
         used = np.full(len(h), True) if self.used is None else np.asarray(self.used)
-        style = merge_style({**curve_style(ax), "label": self._label()}, line_kw)
-        self.line_ = draw_curve(ax, h[used], error[used], style)
+        style = self._next_style(self._label(), line_kw)
+        self.line_ = self._draw_curve(h[used], error[used], style)
+        hollow = {"linestyle": "none", "markerfacecolor": "none", "label": "_unused"}
         self.unused_ = self.bound_ = None
-        if drawable(h[~used], error[~used]).any():
-            hollow = {"linestyle": "none", "markerfacecolor": "none"}
-            style = {**style, **hollow, "label": "_unused"}
-            self.unused_ = draw_curve(ax, h[~used], error[~used], style)
+        if not used.all():
+            self.unused_ = self._draw_curve(h[~used], error[~used], style | hollow)
         drawn = self.line_ if len(self.line_.get_xdata()) else self.unused_
         if drawn is not None and np.isfinite(self.guaranteed_slope):
             x, y = drawn.get_data()
@@ -262,11 +257,8 @@ class ConvergenceDisplay(Display):  # numpydoc ignore=PR02
         labels = {line.get_label() for line in ax.lines}
         title += ", dashed: guaranteed" * ("_guaranteed" in labels)
         title += ", hollow: not fitted" * ("_unused" in labels)
-        finish_curves(
-            *(ax, title),
-            with_unit("fill distance", self.state_unit),
-            with_unit(ERRORS[self.quantity], self.output_unit),
-        )
+        xlabel = with_unit("fill distance", self.state_unit)
+        self._finish(title, xlabel, with_unit(ERRORS[self.quantity], self.output_unit))
         return self
 
     def _label(self) -> str:

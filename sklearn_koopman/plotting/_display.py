@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from sklearn_koopman._utils._typing import Array, Mask
+from sklearn_koopman._utils._typing import Array
 
 # Okabe and Ito's colours, which people with any colour vision can tell apart.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -61,43 +61,39 @@ def count_curves(ax: Any, uncounted: Collection[str] = ()) -> int:
     return sum(not x.startswith("_") and x not in uncounted for x in labels)
 
 
-def curve_style(ax: Any, uncounted: Collection[str] = ()) -> dict[str, Any]:
-    """Return how to draw the next curve on axes, different from those before."""
-    n = count_curves(ax, uncounted)
-    return {
-        "color": COLORS[n % len(COLORS)],
-        "marker": MARKERS[n % len(MARKERS)],
-        "markersize": 5,
-        "linewidth": 1.2,
-    }
+class CurveDisplay(Display):
+    """Base class of the displays of curves on logarithmic axes."""
 
+    def _next_style(
+        self, label: str, given: Keywords, uncounted: Collection[str] = ()
+    ) -> dict[str, Any]:
+        """Return how to draw the next curve, different from those on the axes."""
+        n = count_curves(self.ax_, uncounted)
+        color, marker = COLORS[n % len(COLORS)], MARKERS[n % len(MARKERS)]
+        style = {"color": color, "marker": marker, "markersize": 5, "linewidth": 1.2}
+        return merge_style(style | {"label": label}, given)
 
-def draw_curve(ax: Any, x: Array, y: Array, style: Mapping[str, Any]) -> Any:
-    """Draw the points that logarithmic axes can show, from left to right."""
-    order = np.argsort(x, kind="stable")
-    order = order[drawable(x, y)[order]]
-    (line,) = ax.loglog(x[order], y[order], **style)
-    return line
+    def _draw_curve(self, x: Array, y: Array, style: Mapping[str, Any]) -> Any:
+        """Draw the points that the axes can show, from left to right."""
+        order = np.argsort(x, kind="stable")
+        order = order[((x > 0) & (y > 0) & np.isfinite(x) & np.isfinite(y))[order]]
+        (line,) = self.ax_.loglog(x[order], y[order], **style)
+        return line
 
+    def _finish(self, title: str | None, xlabel: str, ylabel: str) -> None:
+        """Add labels, a legend with a title, and ticks that do not overlap."""
+        from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-def drawable(x: Array, y: Array) -> Mask:
-    """Return which points have finite and positive coordinates."""
-    return (x > 0) & (y > 0) & np.isfinite(x) & np.isfinite(y)
-
-
-def finish_curves(ax: Any, title: str | None, xlabel: str, ylabel: str) -> None:
-    """Add labels, a legend with a title, and ticks that do not overlap."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    low, high = ax.get_xlim()
-    axis = ax.xaxis
-    axis.set_minor_formatter(NullFormatter())
-    if high < 100 * low:  # up to two powers of ten: label what is between, too
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
-    ax.set(xlabel=xlabel, ylabel=ylabel)
-    size = "small" if count_curves(ax) <= 4 else "x-small"
-    ax.legend(title=title, fontsize=size, title_fontsize=size, alignment="left")
+        low, high = self.ax_.get_xlim()
+        axis = self.ax_.xaxis
+        axis.set_minor_formatter(NullFormatter())
+        if high < 100 * low:  # up to two powers of ten: label what is between, too
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+        self.ax_.set(xlabel=xlabel, ylabel=ylabel)
+        size = "small" if count_curves(self.ax_) <= 4 else "x-small"
+        options = {"fontsize": size, "title_fontsize": size, "alignment": "left"}
+        self.ax_.legend(title=title, **options)
 
 
 def with_unit(name: str, unit: str | None) -> str:
