@@ -33,8 +33,8 @@ in the paper has the squared distance, and its matrix is not positive definite: 
 eigenvalues are negative, and the condition number has no meaning. The paper does not
 state where the pendulum starts (here at (momentum, position) = (0, 2)), the scales in
 Figure 6 (here those of Figure 3), and kernel and scale in Figure 7 (here C2 and
-beta = 4, with three others in the table). At beta = 1 the first three curves of Figure 7
-would lie on top of each other, because no other support reaches the crowded pair.
+beta = 4, with three others in the table). At beta = 1 the first three curves of Figure
+7 would lie on top of each other, because no other support reaches the crowded pair.
 
 The paper is N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
 for Estimation of Animal Motions over Unknown Submanifolds", arXiv:2203.05646, 2022.

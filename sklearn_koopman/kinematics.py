@@ -171,9 +171,8 @@ def _as_floats(value: Any, name: str) -> Array:
 
 def _direction(value: Any, name: str) -> Array:
     """Return a unit vector from the number of a column or a vector."""
-    if isinstance(value, int | np.integer) and not isinstance(value, bool):
-        if not 0 <= value < 3:
-            raise ValueError(f"{name}={value} is no column; pass 0, 1 or 2.")
+    is_column = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if is_column and 0 <= value < 3:
         return np.eye(3)[int(value)]
     vector = _as_floats(value, name)
     length = np.linalg.norm(vector)

@@ -331,10 +331,10 @@ def test_walking_says_that_it_is_synthetic_and_is_reproducible():
         ({"rate": np.nan}, "rate must be .* got nan"),
         ({"variability": -1}, "variability must be .* got -1"),
         ({"n_trials": 3, "speeds": [1.0, 1.2]}, "n_trials=3 but speeds holds 2"),
-        ({"speeds": [1.0, 0.0]}, "speeds="),
-        ({"speeds": [[1.0, 1.2]]}, "speeds="),
-        ({"speeds": [1.0, np.nan]}, "speeds contains NaN"),
-        ({"speeds": []}, "0 sample"),
+        ({"speeds": [1.0, 0.0]}, "speeds must be a list of positive"),
+        ({"speeds": [[1.0, 1.2]]}, "speeds must be a list of positive"),
+        ({"speeds": [1.0, np.nan]}, "speeds must be .* finite"),
+        ({"speeds": []}, "speeds must be a list"),
     ],
 )
 def test_bad_walking(options, message):

@@ -5,10 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
-from sklearn.utils import Bunch, check_array, check_random_state
+from sklearn.utils import Bunch, check_random_state
 
 from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_integer, check_number
+from sklearn_koopman._utils._validation import (
+    check_integer,
+    check_number,
+    check_positive,
+)
 
 _DESCR = """\
 SYNTHETIC walking of a planar two-link leg
@@ -159,19 +163,13 @@ def _check_speeds(speeds: ArrayLike | None, n_trials: int | None) -> Array:
     """Return one speed for each trial."""
     if speeds is None:
         return np.linspace(0.6, 1.5, 4 if n_trials is None else n_trials)
-    pace = check_array(
-        np.atleast_1d(speeds), dtype=np.float64, ensure_2d=False, input_name="speeds"
-    )
-    if pace.ndim != 1 or pace.min() <= 0:
-        raise ValueError(
-            f"speeds={speeds!r}; pass one positive walking speed [m/s] for each trial."
-        )
+    pace = check_positive(speeds, "speeds")
     if n_trials is not None and n_trials != len(pace):
         raise ValueError(
             f"n_trials={n_trials} but speeds holds {len(pace)}; leave n_trials out, "
             "there is one trial for each speed."
         )
-    return np.asarray(pace)
+    return pace
 
 
 def _trial(

@@ -20,11 +20,7 @@ from sklearn_koopman.kernels import as_kernel
 
 
 def condition_number(
-    kernel: Any,
-    centers: Any,
-    *,
-    beta: float | None = None,
-    alpha: float = 0.0,
+    kernel: Any, centers: Any, *, beta: float | None = None, alpha: float = 0.0
 ) -> float:
     """Compute the condition number of the Gram matrix of a kernel at centres.
 
@@ -86,11 +82,7 @@ def condition_number(
 
 
 def smallest_eigenvalue(
-    kernel: Any,
-    centers: Any,
-    *,
-    beta: float | None = None,
-    alpha: float = 0.0,
+    kernel: Any, centers: Any, *, beta: float | None = None, alpha: float = 0.0
 ) -> float:
     """Compute the smallest eigenvalue of the Gram matrix of a kernel at centres.
 
