@@ -19,23 +19,15 @@ from sklearn_koopman import (
     TrajectoryKFold,
     trajectory_pairs,
 )
+from sklearn_koopman.datasets import load_trials
 from sklearn_koopman.diagnostics import calibration_study
 from sklearn_koopman.kinematics import leg_angles
 
 STRETCH = 400  # rows, some two strides
-JOINTS = ("hip", "knee", "ankle")
 
 
 def main(path):
-    data = np.load(path)
-    legs = [
-        leg_angles(
-            **{joint: data[joint][data["trial"] == trial] for joint in JOINTS},
-            forward=0,
-            up=1,
-        )
-        for trial in np.unique(data["trial"])
-    ]
+    legs = [leg_angles(**leg, forward=0, up=1) for leg in load_trials(path).markers]
     angles, ankles = zip(*legs, strict=True)
     pairs = trajectory_pairs(list(angles), list(ankles), lag=15, delays=3, delay_step=5)
     model = make_pipeline(

@@ -28,6 +28,7 @@ from sklearn_koopman import (
     SeparatedCenterSelector,
     trajectory_pairs,
 )
+from sklearn_koopman.datasets import load_trials
 from sklearn_koopman.kernels import KERNELS
 from sklearn_koopman.kinematics import leg_angles
 
@@ -186,20 +187,11 @@ def predict_limit(n, M):
 # 4. search
 
 KERNEL_NAMES = ("matern32", "matern52", "inverse_multiquadric", "gaussian")
-JOINTS = ("hip", "knee", "ankle")
 
 
 def walking(path, n_rows, folds):
     """Delayed angles, the ankle 100 ms ahead, and the fold, evenly thinned out."""
-    data = np.load(path)
-    legs = [
-        leg_angles(
-            **{joint: data[joint][data["trial"] == trial] for joint in JOINTS},
-            forward=0,
-            up=1,
-        )
-        for trial in np.unique(data["trial"])
-    ]
+    legs = [leg_angles(**leg, forward=0, up=1) for leg in load_trials(path).markers]
     angles, ankles = zip(*legs, strict=True)
     pairs = trajectory_pairs(list(angles), list(ankles), lag=15, delays=3, delay_step=5)
     n_rows = n_rows or len(pairs.X)

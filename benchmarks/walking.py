@@ -29,6 +29,7 @@ from sklearn_koopman import (
     TrajectoryKFold,
     trajectory_pairs,
 )
+from sklearn_koopman.datasets import load_trials
 from sklearn_koopman.kinematics import leg_angles
 
 DELAYS, STEP = 3, 5
@@ -113,14 +114,9 @@ def main():
         "--lags", type=int, nargs="+", default=[1, 15], help="samples ahead"
     )
     options = parser.parse_args()
-    data = np.load(options.data)
-    angles, ankles = [], []
-    for trial in np.unique(data["trial"]):
-        rows = data["trial"] == trial
-        markers = {joint: data[joint][rows] for joint in ("hip", "knee", "ankle")}
-        state, ankle = leg_angles(**markers, forward=0, up=1)
-        angles.append(state)
-        ankles.append(ankle)
+    data = load_trials(options.data)
+    legs = [leg_angles(**leg, forward=0, up=1) for leg in data.markers]
+    angles, ankles = (list(part) for part in zip(*legs, strict=True))
 
     # Dropped centres are part of the search here, not news.
     warnings.simplefilter("ignore", LinAlgWarning)
@@ -129,7 +125,7 @@ def main():
         future = np.vstack([y[reach + lag :] for y in ankles])
         now = np.vstack([y[reach:-lag] for y in ankles])
         before = np.vstack([y[reach - 1 : -lag - 1] for y in ankles])
-        print(f"\n{lag} samples ({1000 * lag / data['rate']:.0f} ms) ahead", flush=True)
+        print(f"\n{lag} samples ({1000 * lag / data.rate:.0f} ms) ahead", flush=True)
         print(f"  {'persistence':42s}{rms(now - future):8.2f} mm")
         constant = now + lag * (now - before)
         print(f"  {'constant velocity':42s}{rms(constant - future):8.2f} mm")

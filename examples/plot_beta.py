@@ -5,23 +5,28 @@ What the scale of a kernel does
 
 Figure 3 of the paper: the same 37 centres of a pendulum, the same Matern-3/2 kernel, at
 the scales beta = 5, 1, 0.5 and 0.2. All four estimates return the outputs at the
-centres. Between them a small scale is of little use: with beta below the distance of
-neighbouring centres the estimate is a row of spikes that fall to zero, on the orbit as
-well. A large scale makes it smooth on the orbit and sensible some way off, and costs
-digits: the condition number of the Gram matrix rises by five powers of ten.
+centres. Between the centres a small scale is of little use: with beta below the
+distance of neighbouring centres the estimate is a row of spikes that fall to zero, even
+on the orbit. With a large scale the estimate is smooth on the orbit and plausible some
+way off, but digits are lost: the condition number of the Gram matrix rises by five
+powers of ten.
 
-The paper shows the surfaces only. The table says what they do on the samples that are
-no centres, over the rectangle around the orbit, and to the numbers: the condition
-number of the Gram matrix, how many of 16 digits it costs the coefficients, and the norm
-of the estimate in the native space of its kernel, by which the error is bounded. That
-norm is least at beta = 1 among the four and rises to both sides: for the spikes at the
-small scales, and for a kernel flatter than the output at the large one.
+The paper shows the surfaces only. The table has the errors on the samples that are no
+centres and over the rectangle around the orbit, the condition number of the Gram
+matrix, how many of 16 digits the coefficients lose by it, and the norm of the estimate
+in the native space of its kernel (the function space that the kernel defines), which
+bounds the error. Among the four scales the norm is smallest at beta = 1. It is larger
+for the spikes at the small scales, and for the large scale, where the kernel is flatter
+than the output.
 
-What differs from the print: the start of the pendulum is not given there ((momentum,
-position) = (0, 2) with centres 0.23 apart gives its M = 37), and its Matern formula has
-the squared distance, which is not positive definite; this is the true kernel. With the
-square, beta would be a squared length: the panels of the print are those of other
-scales.
+What differs from the printed paper: the start of the pendulum is not given there
+((momentum, position) = (0, 2) with centres 0.23 apart gives its M = 37), and its Matern
+formula has the squared distance, which is not positive definite. This is the true
+kernel. With the square, beta would be a squared length, so that the printed panels are
+those of other scales.
+
+The paper is N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+for Estimation of Animal Motions over Unknown Submanifolds", arXiv:2203.05646, 2022.
 """
 
 import argparse

@@ -28,13 +28,16 @@ whose smallest eigenvalue is 1 - phi(r): proportional to r^2 for a profile that 
 smooth at zero, and to r for one with a cusp, such as C0. The slope of C0 is therefore
 that of its bound.
 
-What differs from the print: here is the true Matern kernel. The formula in the paper
-has the squared distance, and its matrix is not positive definite: some eigenvalues are
-negative, and the condition number tells nothing. The print leaves open where the
-pendulum starts, here at (momentum, position) = (0, 2); the scales in Figure 6, here
-those of Figure 3; and kernel and scale in Figure 7, here C2 and beta = 4, with three
-others in the table. At beta = 1 the first three curves of Figure 7 would lie on top of
-each other, because no other support reaches the crowded pair.
+What differs from the printed paper: the Matern kernel here is the true one. The formula
+in the paper has the squared distance, and its matrix is not positive definite: some
+eigenvalues are negative, and the condition number has no meaning. The paper does not
+state where the pendulum starts (here at (momentum, position) = (0, 2)), the scales in
+Figure 6 (here those of Figure 3), and kernel and scale in Figure 7 (here C2 and
+beta = 4, with three others in the table). At beta = 1 the first three curves of Figure
+7 would lie on top of each other, because no other support reaches the crowded pair.
+
+The paper is N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+for Estimation of Animal Motions over Unknown Submanifolds", arXiv:2203.05646, 2022.
 """
 
 import argparse

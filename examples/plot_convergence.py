@@ -11,7 +11,7 @@ in the native space of the kernel. The output of the pendulum is smoother than t
 its error falls about twice as fast as the order of the kernel, like h to the power 2 s,
 until rounding ends it.
 
-What differs from the print, and why:
+What differs from the printed paper, and why:
 
 - The paper shows one curve and does not say of which kernel or scale. Its exponent is
   s less a whole number above m/2; the sharper one is s - m/2.
@@ -24,6 +24,9 @@ What differs from the print, and why:
 The slopes scatter by a few tenths because the centres of a greedy selection are not
 equally spaced: an error depends on where the gaps lie, not on the widest one alone.
 Hollow points are at the level of rounding and are not fitted.
+
+The paper is N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+for Estimation of Animal Motions over Unknown Submanifolds", arXiv:2203.05646, 2022.
 """
 
 import argparse

@@ -45,7 +45,7 @@ from sklearn_koopman import (
     make_forecast_scorer,
     trajectory_pairs,
 )
-from sklearn_koopman.datasets import make_walking
+from sklearn_koopman.datasets import load_trials, make_walking
 from sklearn_koopman.kinematics import leg_angles
 
 STEP, N_STEPS = 0.1, 10  # seconds, and how many of them
@@ -82,18 +82,9 @@ def read_trials(path):
         speeds = ", ".join(f"{speed:.2f}" for speed in walking.speeds)
         print(f"SYNTHETIC walking, nothing measured, at {speeds} m/s")
         return walking.trajectories, walking.outputs, walking.rate
-    with np.load(path) as data:
-        rate, trial = float(data["rate"]), data["trial"]
-        markers = {joint: data[joint] for joint in ("hip", "knee", "ankle")}
-    legs = [
-        leg_angles(
-            **{joint: xyz[trial == number] for joint, xyz in markers.items()},
-            forward=0,
-            up=1,
-        )
-        for number in np.unique(trial)
-    ]
-    return [angles for angles, _ in legs], [ankle for _, ankle in legs], rate
+    data = load_trials(path)
+    legs = [leg_angles(**leg, forward=0, up=1) for leg in data.markers]
+    return [angles for angles, _ in legs], [ankle for _, ankle in legs], data.rate
 
 
 def stride_before(ankle, now, rate):

@@ -19,7 +19,7 @@ goes the same way::
 
     python examples/plot_kinematics.py --data walking.npz --samples 5000
 
-What differs from the print, and why:
+What differs from the printed paper, and why:
 
 - "0.5 radians" cannot have been the separation: it would leave a handful of centres,
   the number is printed. On a selection of the paper's treadmill recordings a separation
@@ -38,6 +38,9 @@ What differs from the print, and why:
   copies of the angles) it does better.
 - Of the two outputs the paper finds the height nearly constant next to the forward
   coordinate; the ranges are printed.
+
+The paper is N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+for Estimation of Animal Motions over Unknown Submanifolds", arXiv:2203.05646, 2022.
 """
 
 import argparse
@@ -57,7 +60,7 @@ from sklearn_koopman import (
     SeparatedCenterSelector,
     trajectory_pairs,
 )
-from sklearn_koopman.datasets import make_walking
+from sklearn_koopman.datasets import load_trials, make_walking
 from sklearn_koopman.diagnostics import digits_lost
 from sklearn_koopman.kinematics import leg_angles
 from sklearn_koopman.plotting import SurfaceDisplay
@@ -98,14 +101,13 @@ def read_arguments(arguments=None):
 def read_legs(options):
     """Return a name, the markers of each leg or trial in mm, and the frame rate."""
     if options.data is not None:
-        with np.load(options.data) as data:
-            rate, trial = float(data["rate"]), data["trial"][: options.samples]
-            markers = {joint: data[joint][: options.samples] for joint in JOINTS}
-        legs = [
-            {joint: xyz[trial == number] for joint, xyz in markers.items()}
-            for number in np.unique(trial)
-        ]
-        return "Recorded walking", legs, rate
+        data = load_trials(options.data)
+        legs, left = [], options.samples
+        for markers in data.markers:
+            if left > 0:
+                legs.append({joint: markers[joint][:left] for joint in JOINTS})
+                left -= len(markers[JOINTS[0]])
+        return "Recorded walking", legs, data.rate
     if options.synthetic or find_spec("gaitkit") is None:
         walking = make_walking(2, n_strides=4, random_state=0)
         return "SYNTHETIC walking, nothing measured", walking.markers, walking.rate

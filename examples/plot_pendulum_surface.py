@@ -10,7 +10,7 @@ function on the whole plane. Along the curve it is good to a thousandth with the
 kernel; away from it nothing was seen, and the estimate falls back to zero, exactly so
 where no support of a Wendland kernel reaches.
 
-What differs from the print, and why:
+What differs from the printed paper, and why:
 
 - The paper does not say where the pendulum starts. (momentum, position) = (0, 2) with
   centres 0.23 apart gives its number of centres, M = 37, from its 256 samples.
@@ -24,6 +24,9 @@ What differs from the print, and why:
   adds up kernel sections at the centres xi with them. That does not return the outputs
   at the centres; by how much it fails is printed. Here the matrix is that of the
   centres.
+
+The paper is N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+for Estimation of Animal Motions over Unknown Submanifolds", arXiv:2203.05646, 2022.
 """
 
 import argparse

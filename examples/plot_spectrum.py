@@ -6,10 +6,10 @@ The Koopman spectrum of a pendulum
 A pendulum swings with one frequency and its harmonics, so the Koopman operator of its
 motion has the eigenvalues exp(2 pi i k nu h) on the unit circle, for the fundamental
 frequency nu and the time step h. How well does an estimate from 25 seconds of motion
-and a few dozen centres find them, and which of its eigenvalues are to be trusted? The
-residual of each eigenpair tells, without knowing the truth. The phase of the first
-eigenfunction that oscillates is the phase of the swing: it turns at a constant rate,
-while the pendulum lingers where it turns round.
+and a few dozen centres find them, and which of its eigenvalues can be trusted? The
+residual of each eigenpair answers that without the true eigenvalues. The phase of the
+first eigenfunction that oscillates is the phase of the swing: it grows at a constant
+rate, while the pendulum itself is slow where it turns round.
 """
 
 import argparse

@@ -152,7 +152,7 @@ def main(arguments=None):
             ankles.append(ankle[piece])
             held_out.append(number == options.pieces - 1)
 
-    # Two angles do not tell whether the leg swings or stands, their past does.
+    # Two angles are the same in swing and in stance; their past distinguishes these.
     step = max(round(rate / 30), 1)
     pairs = trajectory_pairs(angles, ankles, lag=lag, delays=3, delay_step=step)
     test = np.array(held_out)[pairs.groups]

@@ -1,5 +1,8 @@
 """Koopman operators from motion data, as scikit-learn estimators."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from sklearn_koopman.centers import SeparatedCenterSelector
 from sklearn_koopman.edmd import KernelEDMD
 from sklearn_koopman.regression import KoopmanKernelRegressor
@@ -7,15 +10,38 @@ from sklearn_koopman.scoring import make_forecast_scorer, make_valid_time_scorer
 from sklearn_koopman.search import KoopmanKernelRegressorCV
 from sklearn_koopman.trajectories import TrajectoryKFold, trajectory_pairs
 
+if TYPE_CHECKING:
+    from sklearn_koopman import datasets, diagnostics, kinematics, plotting
+
 __all__ = [
     "KernelEDMD",
     "KoopmanKernelRegressor",
     "KoopmanKernelRegressorCV",
     "SeparatedCenterSelector",
     "TrajectoryKFold",
+    "datasets",
+    "diagnostics",
+    "kinematics",
     "make_forecast_scorer",
     "make_valid_time_scorer",
+    "plotting",
     "trajectory_pairs",
 ]
 
 __version__ = "0.1.0"
+
+_LAZY = frozenset({"datasets", "diagnostics", "kinematics", "plotting"})
+
+# Hidden from type checkers, which would take any name for an attribute.
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> Any:
+        """Import a module when it is first used."""
+        if name in _LAZY:
+            # Python has a lock for each module, so that threads wait for each other.
+            return import_module(f"{__name__}.{name}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LAZY})

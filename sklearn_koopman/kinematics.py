@@ -1,9 +1,13 @@
 """From marker positions to joint angles and body-frame outputs."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from sklearn_koopman._utils._typing import Array
 
 __all__ = ["leg_angles"]
 
@@ -16,7 +20,7 @@ def leg_angles(
     forward: ArrayLike,
     up: ArrayLike,
     normalize: bool = False,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array]:
     r"""Hip and knee flexion of one leg, and its ankle relative to the hip.
 
     The markers are projected onto the sagittal plane spanned by `forward` and `up`.
@@ -92,12 +96,13 @@ def leg_angles(
 
     References
     ----------
-    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
-       of Animal Motions over Unknown Submanifolds".
+    .. [1] N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+       for Estimation of Animal Motions over Unknown Submanifolds",
+       arXiv:2203.05646, 2022.
 
-    .. [2] Fukuchi, Fukuchi and Duarte (2018), "A public dataset of overground and
-       treadmill walking kinematics and kinetics in healthy individuals", PeerJ
-       6:e4640.
+    .. [2] C. A. Fukuchi, R. K. Fukuchi and M. Duarte, "A public dataset of overground
+       and treadmill walking kinematics and kinetics in healthy individuals", PeerJ 6,
+       e4640, 2018.
 
     Examples
     --------
@@ -119,13 +124,11 @@ def leg_angles(
             f"forward={forward!r} and up={up!r} are not orthogonal; subtract from one "
             "its part along the other, or use two different columns."
         )
-
-    segments = {
-        "thigh": positions["knee"] - positions["hip"],
-        "shank": positions["ankle"] - positions["knee"],
-    }
-    lengths = _check_segments(segments, axes)
-    thigh, shank = (_as_complex(vectors @ axes) for vectors in segments.values())
+    segments = np.diff([positions[name] for name in ("hip", "knee", "ankle")], axis=0)
+    planar = segments @ axes
+    lengths = _check_segments(segments, planar)
+    # In a complex plane whose real axis points straight down.
+    thigh, shank = -planar[..., 1] + 1j * planar[..., 0]
     # The sum turns -0.0 into 0.0: a shank folded onto the thigh is at pi, not -pi.
     bend = thigh * shank.conj() + 0.0
     angles = np.column_stack([np.angle(thigh), np.angle(bend)])
@@ -133,14 +136,14 @@ def leg_angles(
     return angles, reach / lengths.sum() if normalize else reach
 
 
-def _check_markers(**markers: Any) -> dict[str, NDArray[np.float64]]:
+def _check_markers(**markers: Any) -> dict[str, Array]:
     """Validate markers into finite arrays of one shape (n_frames, 3)."""
     positions = {name: _as_floats(marker, name) for name, marker in markers.items()}
     for name, position in positions.items():
         if position.ndim != 2 or position.shape[1] != 3 or len(position) == 0:
             raise ValueError(
                 f"{name} has shape {position.shape}; expected (n_frames, 3), one row "
-                "of coordinates a frame."
+                "of coordinates for each frame."
             )
         gaps = np.flatnonzero(~np.isfinite(position).all(axis=1))
         if len(gaps):
@@ -158,7 +161,7 @@ def _check_markers(**markers: Any) -> dict[str, NDArray[np.float64]]:
     return positions
 
 
-def _as_floats(value: Any, name: str) -> NDArray[np.float64]:
+def _as_floats(value: Any, name: str) -> Array:
     """Convert to an array of floats, or name the parameter that is none."""
     try:
         return np.asarray(value, dtype=np.float64)
@@ -166,11 +169,10 @@ def _as_floats(value: Any, name: str) -> NDArray[np.float64]:
         raise ValueError(f"{name} must be an array of numbers: {error}.") from error
 
 
-def _direction(value: Any, name: str) -> NDArray[np.float64]:
+def _direction(value: Any, name: str) -> Array:
     """Return a unit vector from the number of a column or a vector."""
-    if isinstance(value, int | np.integer) and not isinstance(value, bool):
-        if not 0 <= value < 3:
-            raise ValueError(f"{name}={value} is no column; pass 0, 1 or 2.")
+    is_column = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if is_column and 0 <= value < 3:
         return np.eye(3)[int(value)]
     vector = _as_floats(value, name)
     length = np.linalg.norm(vector)
@@ -182,18 +184,16 @@ def _direction(value: Any, name: str) -> NDArray[np.float64]:
     return np.asarray(vector / length)
 
 
-def _check_segments(
-    segments: dict[str, NDArray[np.float64]], axes: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the mean lengths of thigh and shank after checking that they are sane."""
-    lengths = np.array([np.linalg.norm(v, axis=1).mean() for v in segments.values()])
-    for (name, vectors), length in zip(segments.items(), lengths, strict=True):
-        flat = np.linalg.norm(vectors @ axes, axis=1) <= 1e-9 * length
-        if flat.any():
+def _check_segments(segments: Array, planar: Array) -> Array:
+    """Return the mean lengths of thigh and shank; refuse implausible ones."""
+    lengths = np.linalg.norm(segments, axis=-1).mean(axis=-1)
+    is_flat = np.linalg.norm(planar, axis=-1) <= 1e-9 * lengths[:, np.newaxis]
+    for name, frames in zip(("thigh", "shank"), is_flat, strict=True):
+        if frames.any():
             raise ValueError(
                 f"the {name} has no length in the plane of forward and up in frame "
-                f"{np.flatnonzero(flat)[0]}; two markers coincide there, or forward "
-                "or up is wrong."
+                f"{frames.argmax()}; two markers coincide there, or forward or up is "
+                "wrong."
             )
     if lengths.max() > 10 * lengths.min():
         raise ValueError(
@@ -201,8 +201,3 @@ def _check_segments(
             f"{lengths[1]:.4g}; pass all three markers in the same unit."
         )
     return lengths
-
-
-def _as_complex(vectors: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """Put (forward, up) into a complex plane where straight down is the real axis."""
-    return -vectors[:, 1] + 1j * vectors[:, 0]

@@ -4,27 +4,38 @@ from pathlib import Path
 # Before SciPy is imported: without it scikit-learn skips its array API check.
 os.environ["SCIPY_ARRAY_API"] = "1"
 
-import numpy as np
 import pytest
 
+from sklearn_koopman.datasets import load_trials
 from sklearn_koopman.kinematics import leg_angles
+
+# Recorded motion is not part of the package.
+DATA = Path(__file__).parents[1] / os.environ.get(
+    "SKLEARN_KOOPMAN_DATA", "../shared/data"
+)
 
 
 @pytest.fixture(scope="session")
-def walking():
-    """Angles and ankle positions (mm) of the four treadmill trials, one a speed."""
-    folder = Path(__file__).parents[1] / os.environ.get(
-        "SKLEARN_KOOPMAN_DATA", "../shared/data"
-    )
-    path = folder / "walking_wbds01_T01-T04_left.npz"
-    if not path.exists():
-        pytest.skip("recorded walking is not part of the package; its folder is absent")
-    data = np.load(path)
-    angles, ankles = [], []
-    for trial in np.unique(data["trial"]):
-        rows = data["trial"] == trial
-        markers = {joint: data[joint][rows] for joint in ("hip", "knee", "ankle")}
-        state, ankle = leg_angles(**markers, forward=0, up=1)
-        angles.append(state)
-        ankles.append(ankle)
-    return angles, ankles
+def data_file():
+    """Return the path of a file of recorded motion, or skip without its folder."""
+
+    def find(name):
+        if not (DATA / name).is_file():
+            pytest.skip(f"no {name}; set SKLEARN_KOOPMAN_DATA to its folder")
+        return DATA / name
+
+    return find
+
+
+@pytest.fixture(scope="session")
+def walking_file(data_file):
+    """Four treadmill trials, one a speed."""
+    return data_file("walking_wbds01_T01-T04_left.npz")
+
+
+@pytest.fixture(scope="session")
+def walking(walking_file):
+    """Angles and ankle positions (mm) of the four trials."""
+    trials = load_trials(walking_file).markers
+    legs = [leg_angles(**markers, forward=0, up=1) for markers in trials]
+    return [angles for angles, _ in legs], [ankle for _, ankle in legs]

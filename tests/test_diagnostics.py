@@ -34,8 +34,6 @@ from sklearn_koopman import (
 )
 from sklearn_koopman.datasets import make_pendulum
 from sklearn_koopman.diagnostics import (
-    _conditioning,
-    _studies,
     calibration_study,
     condition_number,
     conditioning_study,
@@ -49,6 +47,8 @@ from sklearn_koopman.diagnostics import (
     smallest_eigenvalue,
     sobolev_rates,
 )
+from sklearn_koopman.diagnostics._conditioning import extreme_eigenvalues
+from sklearn_koopman.diagnostics._studies import above_rounding
 from sklearn_koopman.kernels import KERNELS, MaternSobolev, Wendland
 
 TURN = 2 * np.pi
@@ -157,7 +157,9 @@ def test_distances_refuse_what_they_cannot_measure():
     for function in (fill_distance, mesh_ratio):
         with pytest.raises(ValueError, match=r"2 features, but reference has 3"):
             function(X, np.ones((5, 3)))
-        with pytest.raises(ValueError, match="metric must be 'euclidean' or"):
+        with pytest.raises(
+            ValueError, match="metric must be one of 'euclidean', 'geodesic'"
+        ):
             function(X, X, metric="manhattan")
         with pytest.raises(ValueError, match="geodesic' only"):
             function(X, X, n_neighbors=5)
@@ -526,25 +528,26 @@ def test_eigenvalues_of_a_fitted_model():
         ("wendland_c6", 0.05),
     ],
 )
-def test_lanczos_agrees_with_the_dense_eigenvalues(monkeypatch, kernel, beta, alpha):
+def test_lanczos_agrees_with_the_dense_eigenvalues(kernel, beta, alpha):
     X = np.random.default_rng(1).uniform(-1, 1, (300, 2))
     values = np.linalg.eigvalsh(KERNELS[kernel](beta=beta)(X) + alpha * np.eye(300))
-    monkeypatch.setattr(_conditioning, "DENSE", 20)
-    options = {"beta": beta, "alpha": alpha}
-    assert smallest_eigenvalue(kernel, X, **options) == pytest.approx(
-        values[0], rel=2e-3
-    )
-    assert condition_number(kernel, X, **options) == pytest.approx(
-        values[-1] / values[0], rel=2e-3
-    )
-    assert condition_number(kernel, X, **options) == condition_number(
-        kernel, X, **options
-    )
+    found = extreme_eigenvalues(kernel, X, beta, alpha, max_dense=20)
+    assert_allclose(found, values[[0, -1]], rtol=1e-3)
+    assert extreme_eigenvalues(kernel, X, beta, alpha, max_dense=20) == found
 
 
-@pytest.mark.parametrize("dense", [20, 1500])
-def test_singular_matrices_have_no_eigenvalue_but_zero(monkeypatch, dense):
-    monkeypatch.setattr(_conditioning, "DENSE", dense)
+def test_large_matrices_have_the_condition_number_of_their_eigenvalues():
+    """Above the number of centres up to which all eigenvalues are computed."""
+    X = np.random.default_rng(1).uniform(-1, 1, (1600, 2))
+    values = np.linalg.eigvalsh(KERNELS["wendland_c2"](beta=0.3)(X))
+    least = smallest_eigenvalue("wendland_c2", X, beta=0.3)
+    assert least == pytest.approx(values[0], rel=2e-3)
+    number = condition_number("wendland_c2", X, beta=0.3)
+    assert number == pytest.approx(values[-1] / values[0], rel=2e-3)
+
+
+@pytest.mark.parametrize("max_dense", [20, 1500])
+def test_singular_matrices_have_no_eigenvalue_but_zero(max_dense):
     grid = np.linspace(0, 1, 100).reshape(-1, 1)
     twice = np.repeat(grid[:30], 2, axis=0)
     for kernel, points in (
@@ -553,19 +556,20 @@ def test_singular_matrices_have_no_eigenvalue_but_zero(monkeypatch, dense):
         (DotProduct(1.0), grid),
         (ConstantKernel(2.0), grid),
     ):
-        assert smallest_eigenvalue(kernel, points) == 0
+        assert extreme_eigenvalues(kernel, points, max_dense=max_dense)[0] == 0
         assert condition_number(kernel, points) == np.inf
-    assert smallest_eigenvalue("matern12", twice, alpha=0.1) == pytest.approx(0.1)
+    least, _ = extreme_eigenvalues("matern12", twice, alpha=0.1, max_dense=max_dense)
+    assert least == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize("dense", [20, 1500])
-def test_kernels_that_are_not_positive_definite_show(monkeypatch, dense):
-    monkeypatch.setattr(_conditioning, "DENSE", dense)
+@pytest.mark.parametrize("max_dense", [20, 1500])
+def test_kernels_that_are_not_positive_definite_show(max_dense):
     X = np.random.default_rng(0).standard_normal((40, 3))  # of period in one dimension
     kernel = ExpSineSquared()
     least = np.linalg.eigvalsh(kernel(X))[0]
     assert least < -1
-    assert smallest_eigenvalue(kernel, X) == pytest.approx(least, rel=1e-10)
+    found, _ = extreme_eigenvalues(kernel, X, max_dense=max_dense)
+    assert found == pytest.approx(least, rel=1e-10)
     assert condition_number(kernel, X) == np.inf
 
 
@@ -573,16 +577,13 @@ def test_kernels_that_are_not_positive_definite_show(monkeypatch, dense):
     ("kernel", "n", "d", "beta", "alpha"),
     [("wendland_c2", 400, 1, 0.016, 0.0), ("gaussian", 400, 2, 0.3, 1e-3)],
 )
-def test_clustered_eigenvalues_are_found(monkeypatch, kernel, n, d, beta, alpha):
+def test_clustered_eigenvalues_are_found(kernel, n, d, beta, alpha):
     """Flat spectra, and many eigenvalues at alpha: Lanczos vectors hardly converge."""
     X = np.random.default_rng(0).uniform(-1, 1, (n, d))
     X = np.linspace(0, 1, n).reshape(-1, 1) if d == 1 else X
     values = np.linalg.eigvalsh(KERNELS[kernel](beta=beta)(X) + alpha * np.eye(n))
-    monkeypatch.setattr(_conditioning, "DENSE", 20)
-    least = smallest_eigenvalue(kernel, X, beta=beta, alpha=alpha)
-    assert least == pytest.approx(values[0], rel=2e-3)
-    condition = condition_number(kernel, X, beta=beta, alpha=alpha)
-    assert condition == pytest.approx(values[-1] / values[0], rel=2e-3)
+    found = extreme_eigenvalues(kernel, X, beta, alpha, max_dense=20)
+    assert_allclose(found, values[[0, -1]], rtol=1e-3)
 
 
 def test_digits_are_logarithms_of_condition_numbers():
@@ -1339,7 +1340,7 @@ def test_rounding_is_where_errors_no_longer_fall(errors, above):
     h = np.geomspace(0.5, 0.01, len(errors))
     backwards = slice(None, None, -1)
     for order in (slice(None), backwards):
-        found = _studies._above_rounding(h[order], np.array(errors)[order], 1.0)
+        found = above_rounding(h[order], np.array(errors)[order], 1.0)
         assert_array_equal(found, np.array(above, dtype=bool)[order])
 
 

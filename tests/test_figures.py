@@ -1,8 +1,6 @@
 """The examples that reproduce the figures of the paper: what they print."""
 
-import os
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -122,14 +120,11 @@ def test_kinematics_on_the_trial_of_gaitkit(tmp_path):
     assert delayed_trial < trial / 2
 
 
-def test_kinematics_with_as_many_centres_as_the_paper(tmp_path):
-    folder = Path(__file__).parents[1] / os.environ.get(
-        "SKLEARN_KOOPMAN_DATA", "../shared/data"
+def test_kinematics_with_as_many_centres_as_the_paper(tmp_path, walking_file):
+    out = run(
+        *("plot_kinematics.py", tmp_path),
+        *("--data", walking_file, "--samples", "5000"),
     )
-    path = folder / "walking_wbds01_T01-T04_left.npz"
-    if not path.exists():
-        pytest.skip("recorded walking is not part of the package; its folder is absent")
-    out = run("plot_kinematics.py", tmp_path, "--data", path, "--samples", "5000")
     # Two trials, and no pair across them.
     assert "5000 samples of 2 trials or legs at 150 Hz, 4998 pairs" in out
     assert number(r"M = (\d+) centres", out) == 4249

@@ -188,8 +188,8 @@ def test_bad_markers(walk, change, message):
 @pytest.mark.parametrize(
     ("axes", "message"),
     [
-        ({"forward": 3, "up": 1}, "forward=3 is no column; pass 0, 1 or 2"),
-        ({"forward": 0, "up": -1}, "up=-1 is no column"),
+        ({"forward": 3, "up": 1}, r"forward=3 is no direction; pass .* \(0, 1 or 2\)"),
+        ({"forward": 0, "up": -1}, "up=-1 is no direction"),
         ({"forward": 0, "up": 0}, "forward=0 and up=0 are not orthogonal"),
         ({"forward": [1, 1e-5, 0], "up": 1}, "not orthogonal"),
         ({"forward": [0, 0, 0], "up": 1}, "forward=.* is no direction"),

@@ -1,5 +1,7 @@
 """Marker files: the tab-separated format of Fukuchi et al., and OpenSim's TRC."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
@@ -7,15 +9,21 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.utils import Bunch
 
-_UNITS = ("mm", "cm", "m")
-_SMALLEST_BODY = 200.0  # mm; less than that between all markers is another unit
+from sklearn_koopman._utils._typing import Array
+from sklearn_koopman._utils._validation import check_choice, check_number
+
+UNITS = ("mm", "cm", "m")
+# Markers of a body that are all closer together than this, in mm, have another unit.
+MIN_BODY_SIZE = 200.0
+# Stamps in seconds may be rounded to milliseconds, and rates to 1 %.
+TIME_ROUNDING = 0.001
+RATE_TOLERANCE = 0.01
 
 
 class _Header(NamedTuple):
-    """What the head of a marker file says."""
+    """The contents of the head of a marker file."""
 
     labels: list[str]  # of all columns
     columns: dict[str, list[int]]  # X, Y and Z column of each marker
@@ -26,11 +34,7 @@ class _Header(NamedTuple):
     n_frames: int | None = None
 
 
-class _Row(NamedTuple):
-    """One frame of a marker file, as text."""
-
-    line: int  # counted from 1
-    fields: list[str]
+_Rows = list[tuple[int, list[str]]]  # number of a line, from 1, and its fields
 
 
 def load_markers(
@@ -42,24 +46,24 @@ def load_markers(
 ) -> Bunch:
     r"""Read marker positions from a tab-separated or an OpenSim TRC file.
 
-    A file that is named ``*.trc`` or begins with ``PathFileType`` is read as TRC,
-    every other file as the tab-separated format of [1]_. Coordinates are returned as
-    they stand in the file.
+    A file that is named ``*.trc`` or begins with ``PathFileType`` is read as TRC, any
+    other file as the tab-separated format of [1]_. Coordinates are returned as they are
+    in the file.
 
     Parameters
     ----------
     path : str or path-like
         The file.
     markers : sequence of str, default=None
-        Names of the markers to read; None reads all. Only those that are read are
+        Names of the markers to read; None reads all. Only markers that are read are
         checked for gaps.
     rate : float, default=150.0
-        Frames a second of a tab-separated file, which does not say it. Not used for
-        TRC, which does.
+        Frames per second of a tab-separated file, which does not state it. Not used
+        for TRC files, which state it.
     unit : {"mm", "cm", "m"}, default=None
-        Unit of the coordinates. None takes that of the TRC header, or "mm" for a
-        tab-separated file, provided that the body then has a plausible size. A unit
-        given for a tab-separated file is taken without further check.
+        Unit of the coordinates. None takes the unit of the TRC header, or "mm" for a
+        tab-separated file, where the size of the body is checked. A unit that is given
+        for a tab-separated file is not checked.
 
     Returns
     -------
@@ -73,7 +77,7 @@ def load_markers(
         time : ndarray of shape (n_frames,)
             Time [s]: the number of the frame divided by the rate.
         rate : float
-            Frames a second.
+            Frames per second.
         unit : str
             Unit of the coordinates.
         filename : str
@@ -95,6 +99,7 @@ def load_markers(
 
     See Also
     --------
+    load_trials : Reads arrays of several trials.
     make_walking : Synthetic markers.
     sklearn_koopman.kinematics.leg_angles : Joint angles from markers.
 
@@ -110,9 +115,9 @@ def load_markers(
 
     References
     ----------
-    .. [1] Fukuchi, Fukuchi and Duarte (2018), "A public dataset of overground and
-       treadmill walking kinematics and kinetics in healthy individuals", PeerJ
-       6:e4640.
+    .. [1] C. A. Fukuchi, R. K. Fukuchi and M. Duarte, "A public dataset of overground
+       and treadmill walking kinematics and kinetics in healthy individuals", PeerJ 6,
+       e4640, 2018.
 
     Examples
     --------
@@ -132,10 +137,8 @@ def load_markers(
     >>> trial.time, trial.unit
     (array([0.  , 0.01]), 'mm')
     """
-    if not 0 < rate < np.inf:
-        raise ValueError(f"rate={rate} must be positive and finite, in frames/s.")
-    if unit is not None and unit not in _UNITS:
-        raise ValueError(f"unit={unit!r} is not known; pass one of {_UNITS} or None.")
+    check_number(rate, "rate", positive=True)
+    check_choice(unit, "unit", (None, *UNITS))
     where = os.fspath(path)
     lines = _read_lines(Path(path))
     is_trc = where.lower().endswith(".trc") or lines[0].startswith("PathFileType")
@@ -169,7 +172,7 @@ def load_markers(
 def _read_lines(path: Path) -> list[str]:
     if not path.is_file():
         raise FileNotFoundError(f"{path} is not a file; check the path and the name.")
-    # Undecodable bytes matter only where a name or number is expected.
+    # Bytes that cannot be decoded matter only where a name or number is expected.
     lines = path.read_text(encoding="utf-8-sig", errors="replace").split("\n")
     if not any(line.strip() for line in lines):
         raise ValueError(f"{path} is empty; export the markers again.")
@@ -178,36 +181,20 @@ def _read_lines(path: Path) -> list[str]:
 
 def _tsv_header(lines: list[str], where: str) -> _Header:
     """Read the line of column names of a tab-separated file."""
-    labels = [field.strip() for field in lines[0].rstrip().split("\t")]
+    labels = _cells(lines[0])
     if labels[0].lower() != "time" or len(labels) == 1:
         raise ValueError(
             f"{where}, line 1: found {lines[0][:40]!r}, expected tab-separated column "
             "names 'Time', 'NAMEX', 'NAMEY', 'NAMEZ', ...; or a TRC file, which begins "
             "with 'PathFileType'."
         )
-    axes: dict[str, dict[str, int]] = {}
-    for column, label in enumerate(labels[1:], start=1):
-        name, axis = label[:-1], label[-1:]
-        if not name or axis not in ("X", "Y", "Z"):
+    for label in labels[1:]:
+        if len(label) == 1 or label[-1:] not in ("X", "Y", "Z"):
             raise ValueError(
                 f"{where}, line 1: column {label!r} is not the X, Y or Z of a marker; "
                 "name it so, or remove the column."
             )
-        if axis in axes.setdefault(name, {}):
-            raise ValueError(
-                f"{where}, line 1: marker {name!r} appears twice (column {label!r}); "
-                "rename or remove one."
-            )
-        axes[name][axis] = column
-    for name, found in axes.items():
-        if len(found) < 3:
-            lost = ", ".join(f"{name}{axis}" for axis in "XYZ" if axis not in found)
-            raise ValueError(
-                f"{where}, line 1: marker {name!r} lacks the column {lost}; export all "
-                "three coordinates."
-            )
-    columns = {name: [found[axis] for axis in "XYZ"] for name, found in axes.items()}
-    return _Header(labels, columns, n_lines=1, time_column=0)
+    return _Header(labels, _columns(labels, 1, f"{where}, line 1"), 1, 0)
 
 
 def _trc_header(lines: list[str], where: str) -> _Header:
@@ -217,57 +204,65 @@ def _trc_header(lines: list[str], where: str) -> _Header:
             f"{where}, line 1: found {lines[0][:40]!r}, expected the five lines of a "
             "TRC header, the first beginning with 'PathFileType'."
         )
-    keys, values = (
-        [field.strip() for field in line.split("\t")] for line in lines[1:3]
-    )
-    meta = dict(zip(keys, values, strict=False))
+    meta = dict(zip(_cells(lines[1]), _cells(lines[2]), strict=False))
     rate = _header_number(meta, "DataRate", where)
     n_frames = _header_number(meta, "NumFrames", where)
     n_markers = _header_number(meta, "NumMarkers", where)
     if not 0 < rate < np.inf:
         raise ValueError(
-            f"{where}, line 3: DataRate is {rate:g}; write the frames a second."
+            f"{where}, line 3: DataRate is {rate:g}; write the frames per second."
         )
     unit = meta.get("Units", "").lower()
-    if unit not in _UNITS:
+    if unit not in UNITS:
         raise ValueError(
             f"{where}, line 3: Units is {meta.get('Units')!r}; convert the file to one "
-            f"of {_UNITS}."
+            f"of {UNITS}."
         )
-
-    fields = [field.strip() for field in lines[3].split("\t")]
-    names = [field for field in fields[2:] if field]
-    if [field[:5].lower() for field in fields[:2]] != ["frame", "time"]:
+    head = _cells(lines[3])
+    if [label[:5].lower() for label in head[:2]] != ["frame", "time"]:
         raise ValueError(
             f"{where}, line 4: found {lines[3][:40]!r}, expected 'Frame#', 'Time' and "
             "the names of the markers, separated by tabs."
         )
-    twice = [name for i, name in enumerate(names) if name in names[:i]]
-    if twice:
-        raise ValueError(
-            f"{where}, line 4: marker {twice[0]!r} appears twice; rename or remove one."
-        )
+    names, axes = [label for label in head[2:] if label], _cells(lines[4])[2:]
     if len(names) != n_markers:
         raise ValueError(
             f"{where}, line 4: found {len(names)} markers, but NumMarkers in line 3 is "
             f"{n_markers:g}; the file is damaged, export it again."
         )
-    axes = [field.strip() for field in lines[4].rstrip().split("\t")[2:]]
-    for i, name in enumerate(names):
-        triple = axes[3 * i : 3 * i + 3]
-        if [axis[:1].upper() for axis in triple] != ["X", "Y", "Z"]:
-            raise ValueError(
-                f"{where}, line 5: marker {name!r} has the columns {triple}, expected "
-                f"['X{i + 1}', 'Y{i + 1}', 'Z{i + 1}']; export all three coordinates."
-            )
-    if len(axes) > 3 * len(names):
+    if len(axes) != 3 * len(names):
         raise ValueError(
-            f"{where}, line 5: column {axes[3 * len(names)]!r} belongs to no marker of "
-            "line 4; export the file again."
+            f"{where}, line 5: found {len(axes)} columns, expected X, Y and Z of each "
+            f"of the {len(names)} markers of line 4; export all three coordinates."
         )
-    labels = [*fields[:2], *(f"{n} {axis}" for n in names for axis in "XYZ")]
-    columns = {name: list(range(3 * i + 2, 3 * i + 5)) for i, name in enumerate(names)}
+    labels = [f"{names[i // 3]}{axis[:1].upper()}" for i, axis in enumerate(axes)]
+    labels = [*head[:2], *labels]
+    columns = _columns(labels, 2, f"{where}, lines 4 and 5")
     return _Header(labels, columns, 5, 1, rate, unit, int(n_frames))
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.rstrip().split("\t")]
+
+
+def _columns(labels: list[str], first: int, where: str) -> dict[str, list[int]]:
+    """Return the X, Y and Z column of each marker, from the labels of columns."""
+    columns = {}
+    for name in dict.fromkeys(label[:-1] for label in labels[first:]):
+        triple = [f"{name}{axis}" for axis in "XYZ"]
+        for label in triple:
+            if label not in labels:
+                raise ValueError(
+                    f"{where}: marker {name!r} lacks the column {label}; export all "
+                    "three coordinates."
+                )
+            if labels.count(label) > 1:
+                raise ValueError(
+                    f"{where}: marker {name!r} appears twice (column {label!r}); "
+                    "rename or remove one."
+                )
+        columns[name] = [labels.index(label) for label in triple]
+    return columns
 
 
 def _header_number(meta: dict[str, str], key: str, where: str) -> float:
@@ -292,21 +287,20 @@ def _select(
             f"markers={markers!r}; pass a list of names, such as {names[:2]}, or None "
             "for all."
         )
-    by_lower = {name.lower(): name for name in names}
     for marker in markers:
         if marker not in names:
-            close = get_close_matches(str(marker).lower(), by_lower, n=4, cutoff=0.5)
-            hint = f"did you mean one of {[by_lower[c] for c in close]}? " * bool(close)
+            close = get_close_matches(str(marker), names, n=4, cutoff=0.5)
+            hint = f"did you mean one of {close}? " * bool(close)
             raise ValueError(
                 f"{where} has no marker {marker!r}; {hint}The file holds {names}."
             )
     return list(dict.fromkeys(markers))
 
 
-def _rows(lines: list[str], header: _Header, where: str) -> list[_Row]:
+def _rows(lines: list[str], header: _Header, where: str) -> _Rows:
     """Split the frames into fields, one for each column."""
     n_columns = len(header.labels)
-    rows = []
+    rows: _Rows = []
     for number, line in enumerate(lines[header.n_lines :], header.n_lines + 1):
         if not line.strip():
             continue
@@ -317,23 +311,21 @@ def _rows(lines: list[str], header: _Header, where: str) -> list[_Row]:
                 f"tabs, expected {n_columns}; the line is damaged, export the file "
                 "again."
             )
-        rows.append(_Row(number, fields))
+        rows.append((number, fields))
     if not rows:
         raise ValueError(
             f"{where} holds no frames after line {header.n_lines}; export it again."
         )
     if header.n_frames not in (None, len(rows)):
         raise ValueError(
-            f"{where}, line {rows[-1].line}: the file ends after {len(rows)} frames, "
+            f"{where}, line {rows[-1][0]}: the file ends after {len(rows)} frames, "
             f"but NumFrames in line 3 is {header.n_frames}; it was cut or edited, "
             "export it again."
         )
     return rows
 
 
-def _floats(
-    rows: list[_Row], column: int, header: _Header, where: str
-) -> NDArray[np.float64]:
+def _floats(rows: _Rows, column: int, header: _Header, where: str) -> Array:
     """Convert one column; blank fields become NaN."""
     values = np.empty(len(rows))
     for i, (line, fields) in enumerate(rows):
@@ -349,26 +341,24 @@ def _floats(
     return values
 
 
-def _frame_numbers(
-    rows: list[_Row], header: _Header, rate: float, where: str
-) -> NDArray[np.float64]:
+def _frame_numbers(rows: _Rows, header: _Header, rate: float, where: str) -> Array:
     """Return whole frame numbers from a column of frame numbers or of seconds."""
     stamps = _floats(rows, header.time_column, header, where)
     for i in np.flatnonzero(~np.isfinite(stamps)):
         raise ValueError(
-            f"{where}, line {rows[i].line}: Time is blank; write the frame number."
+            f"{where}, line {rows[i][0]}: Time is blank; write the frame number."
         )
     steps = np.diff(stamps)
     for i in np.flatnonzero(steps <= 0):
         raise ValueError(
-            f"{where}, line {rows[i + 1].line}: Time goes from {stamps[i]:g} to "
+            f"{where}, line {rows[i + 1][0]}: Time goes from {stamps[i]:g} to "
             f"{stamps[i + 1]:g}; sort the frames, and keep each trial in its own file."
         )
     whole = header.rate is None and bool((stamps == np.rint(stamps)).all())
     usual = 1.0 if whole or len(rows) == 1 else np.sort(steps)[(len(steps) - 1) // 2]
     for i in np.flatnonzero(steps > 1.5 * usual):
         raise ValueError(
-            f"{where}, line {rows[i + 1].line}: Time leaps from {stamps[i]:g} to "
+            f"{where}, line {rows[i + 1][0]}: Time leaps from {stamps[i]:g} to "
             f"{stamps[i + 1]:g} where frames are {usual:g} apart; split the file where "
             "frames are missing, or restore them."
         )
@@ -376,30 +366,29 @@ def _frame_numbers(
         return stamps
     stated = rate if header.rate is None else header.rate
     span, expected = stamps[-1] - stamps[0], len(steps) / stated
-    if abs(span - expected) > 0.01 * expected + 0.001:  # rounded to milliseconds
+    if abs(span - expected) > RATE_TOLERANCE * expected + TIME_ROUNDING:
         found = len(steps) / span
-        remedy = (
-            f"rate={stated:g}; pass rate={found:.4g}"
-            if header.rate is None
-            else f"DataRate in line 3 is {stated:g}; correct the header"
-        )
+        remedy = f"DataRate in line 3 is {stated:g}; correct the header"
+        if header.rate is None:
+            remedy = f"rate={stated:g}; pass rate={found:.4g}"
         raise ValueError(
-            f"{where}: Time advances by {found:.4g} frames a second, but {remedy}."
+            f"{where}: Time advances by {found:.4g} frames per second, but {remedy}."
         )
     return np.rint(stamps[0] * stated) + np.arange(len(stamps))
 
 
 def _positions(
-    rows: list[_Row], header: _Header, names: list[str], where: str
-) -> dict[str, NDArray[np.float64]]:
+    rows: _Rows, header: _Header, names: list[str], where: str
+) -> dict[str, Array]:
     """Return the coordinates of the named markers, which must have no gaps."""
-    positions, gaps = {}, []
+    positions: dict[str, Array] = {}
+    gaps = []
     for name in names:
         columns = [_floats(rows, i, header, where) for i in header.columns[name]]
         positions[name] = np.column_stack(columns)
         lost = np.flatnonzero(~np.isfinite(positions[name]).all(axis=1))
         if len(lost):
-            line = rows[lost[0]].line
+            line = rows[lost[0]][0]
             gaps.append(f"{name!r} in {len(lost)} frames, first in line {line}")
     if gaps:
         raise ValueError(
@@ -410,11 +399,11 @@ def _positions(
     return positions
 
 
-def _check_millimetres(positions: dict[str, NDArray[np.float64]], where: str) -> None:
+def _check_millimetres(positions: dict[str, Array], where: str) -> None:
     """Refuse coordinates that are too small to be millimetres."""
     cloud = np.stack(list(positions.values()))
     extent = float(np.median(np.ptp(cloud, axis=0).max(axis=-1)))
-    if len(cloud) > 1 and extent < _SMALLEST_BODY:
+    if len(cloud) > 1 and extent < MIN_BODY_SIZE:
         guess = "m" if extent < 3 else "cm"
         raise ValueError(
             f"{where}: the markers of a frame are only {extent:.3g} apart, which looks "

@@ -1,13 +1,16 @@
-"""The discrete pendulum of the paper's first example."""
+"""A discrete pendulum with a known map and a known output."""
+
+from __future__ import annotations
 
 from functools import partial
-from numbers import Integral
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from sklearn.utils import Bunch, check_array, check_random_state, check_scalar
+from numpy.typing import ArrayLike
+from sklearn.utils import Bunch, check_array, check_random_state
 
+from sklearn_koopman._utils._typing import Array
+from sklearn_koopman._utils._validation import check_integer, check_number
 from sklearn_koopman.trajectories import trajectory_pairs
 
 _DESCR = """\
@@ -29,25 +32,25 @@ def make_pendulum(
     state_noise: float = 0.0,
     random_state: int | np.random.RandomState | None = None,
 ) -> Bunch:
-    r"""Simulate the pendulum of the paper, with its true map and output function.
+    r"""Simulate a pendulum, with its true map and output function.
 
-    A discrete system with known answers: `f` is the Stoermer-Verlet recursion itself
-    and not an approximation of it, so that an estimate may be compared with
-    ``G(f(x))`` down to rounding.
+    It is the first example of [1]_ (Section 4.1).
+    The system is discrete, and its true functions are known: `f` is the Stoermer-Verlet
+    recursion itself and not an approximation of it, so that an estimate can be compared
+    with ``G(f(x))`` down to rounding errors.
 
     Parameters
     ----------
     n_samples : int, default=256
-        Number of rows of `X` from each trajectory; one state more is simulated.
+        Number of rows of `X` from each trajectory. One more state is simulated.
     initial : array-like of shape (2,) or (n_trajectories, 2), or "random"
         The (momentum, position) where each trajectory starts, by default (0, 2).
-        With "random" the starts are librations of random amplitude and phase:
-        pendulums that swing through at most 2.5 rad to either side and never turn
-        over.
+        With "random" the pendulums have random amplitude and phase, and swing through
+        at most 2.5 rad to either side.
     n_trajectories : int, default=None
         Number of random starts, with ``initial="random"`` only; None means one.
     step : float, default=0.1
-        Time step of the recursion. It is stable up to steps of about 2.
+        Time step of the recursion [s]. It is stable up to steps of about 2.
     noise : float, default=0.0
         Standard deviation of Gaussian noise on the measured outputs.
     state_noise : float, default=0.0
@@ -55,7 +58,7 @@ def make_pendulum(
         measured once: `X_next` of a row and `X` of the following row are equal. The
         motion itself, and the outputs, are those of the undisturbed states.
     random_state : int, RandomState instance or None, default=None
-        Seed of random starts and noise. The starts depend neither on `noise` nor on
+        Seed of random starts and noise. The starts do not depend on `noise` or
         `state_noise`.
 
     Returns
@@ -70,23 +73,23 @@ def make_pendulum(
         X_next : ndarray of shape (n_trajectories * n_samples, 2)
             The measured states one step later, ``f(X)`` without noise.
         groups, sample_index : ndarray of shape (n_trajectories * n_samples,)
-            Trajectory and place on it, as
-            :func:`~sklearn_koopman.trajectories.trajectory_pairs` gives them.
+            Trajectory of each row, and place on it, as returned by
+            :func:`~sklearn_koopman.trajectories.trajectory_pairs`.
         trajectories : list of ndarray of shape (n_samples + 1, 2)
             The measured states by trajectory.
         outputs : list of ndarray of shape (n_samples + 1,)
             The measured outputs by trajectory.
         f, G : callable
-            One step of the system and the output, free of noise, for states of shape
+            One step of the system and the output, without noise, for states of shape
             (2,) or (n, 2). Both can be pickled.
         DESCR : str
-            What the data are.
+            A description of the data.
 
     Raises
     ------
     ValueError
         If a number is out of range, if `initial` is neither "random" nor of a shape
-        given above, or if `n_trajectories` accompanies given starts.
+        given above, or if `n_trajectories` is set although `initial` is given.
 
     See Also
     --------
@@ -104,10 +107,10 @@ def make_pendulum(
         x^{(1)}_{i+1} &= x^{(1)}_{i+1/2} - \tfrac{h}{2} \sin x^{(2)}_{i+1},
 
     and the output is :math:`G(x) = 1.5 - \sin x^{(2)} + (x^{(1)})^2 / 9`. The map is
-    symplectic and reversible; its orbits lie on closed curves next to those of
-    constant energy :math:`(x^{(1)})^2 / 2 - \cos x^{(2)}`, off by
-    :math:`O(h^2)`. Another step size therefore means other curves: compare estimates
-    on orbits of the same step only.
+    symplectic and reversible. Its orbits lie on closed curves, which differ by
+    :math:`O(h^2)` from curves of constant energy
+    :math:`(x^{(1)})^2 / 2 - \cos x^{(2)}`. The curves depend on the step size, so
+    compare estimates only on orbits of the same step size.
 
     Random starts have amplitude :math:`a` uniform on [0.5, 2.5] and phase
     :math:`\varphi` uniform on :math:`[0, 2\pi)`: position :math:`a \cos\varphi` and,
@@ -116,11 +119,12 @@ def make_pendulum(
 
     References
     ----------
-    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
-       of Animal Motions over Unknown Submanifolds".
+    .. [1] N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+       for Estimation of Animal Motions over Unknown Submanifolds",
+       arXiv:2203.05646, 2022.
 
-    .. [2] Hairer, Lubich and Wanner (2006), "Geometric Numerical Integration",
-       Example I.1.4. Springer.
+    .. [2] E. Hairer, C. Lubich and G. Wanner, "Geometric Numerical Integration",
+       Example I.1.4, Springer, 2006.
 
     Examples
     --------
@@ -142,15 +146,10 @@ def make_pendulum(
     >>> scattered.X.shape
     (500, 2)
     """
-    check_scalar(n_samples, "n_samples", Integral, min_val=1)
-    if not 0 < step < np.inf:
-        raise ValueError(f"step={step} must be positive and finite; the paper has 0.1.")
-    for name, value in (("noise", noise), ("state_noise", state_noise)):
-        if not 0 <= value < np.inf:
-            raise ValueError(
-                f"{name}={value} is no standard deviation; pass a finite number of at "
-                "least 0."
-            )
+    check_integer(n_samples, "n_samples", 1)
+    check_number(step, "step", positive=True)
+    check_number(noise, "noise")
+    check_number(state_noise, "state_noise")
     rng = check_random_state(random_state)
     start = _starts(initial, n_trajectories, rng)
 
@@ -173,7 +172,7 @@ def make_pendulum(
     )
 
 
-def _stormer_verlet(state: ArrayLike, *, step: float) -> NDArray[np.float64]:
+def _stormer_verlet(state: ArrayLike, *, step: float) -> Array:
     """Advance states (..., 2) of momentum and position by one step."""
     momentum, position = np.moveaxis(np.asarray(state, dtype=np.float64), -1, 0)
     half = momentum - step / 2 * np.sin(position)
@@ -181,7 +180,7 @@ def _stormer_verlet(state: ArrayLike, *, step: float) -> NDArray[np.float64]:
     return np.stack([half - step / 2 * np.sin(position), position], axis=-1)
 
 
-def _output(state: ArrayLike) -> NDArray[np.float64]:
+def _output(state: ArrayLike) -> Array:
     """Output G of the paper for states (..., 2) of momentum and position."""
     momentum, position = np.moveaxis(np.asarray(state, dtype=np.float64), -1, 0)
     return np.asarray(1.5 - np.sin(position) + momentum**2 / 9)
@@ -189,30 +188,23 @@ def _output(state: ArrayLike) -> NDArray[np.float64]:
 
 def _starts(
     initial: Any, n_trajectories: int | None, rng: np.random.RandomState
-) -> NDArray[np.float64]:
+) -> Array:
     """Return the (n_trajectories, 2) states where the trajectories begin."""
-    if not isinstance(initial, str):
+    if not (isinstance(initial, str) and initial == "random"):
+        if isinstance(initial, str) or np.shape(initial)[-1:] != (2,):
+            raise ValueError(
+                f"initial={initial!r}; pass 'random', (momentum, position), or an "
+                "array of shape (n_trajectories, 2)."
+            )
         if n_trajectories is not None:
             raise ValueError(
                 f"n_trajectories={n_trajectories} goes with initial='random' only; "
                 "leave it out, one trajectory begins at each row of initial."
             )
-        start = check_array(
-            np.atleast_2d(initial), dtype=np.float64, input_name="initial"
-        )
-        if start.shape[1] != 2:
-            raise ValueError(
-                f"initial has shape {np.shape(initial)}; pass (momentum, position), "
-                "or an array of shape (n_trajectories, 2)."
-            )
-        return np.asarray(start)
-    if initial != "random":
-        raise ValueError(
-            f"initial={initial!r}; pass 'random', (momentum, position), or an array "
-            "of shape (n_trajectories, 2)."
-        )
+        start = np.atleast_2d(initial)
+        return check_array(start, dtype=np.float64, input_name="initial")
     size = 1 if n_trajectories is None else n_trajectories
-    check_scalar(size, "n_trajectories", Integral, min_val=1)
+    check_integer(size, "n_trajectories", 1)
     amplitude = rng.uniform(0.5, 2.5, size)
     phase = rng.uniform(0, 2 * np.pi, size)
     position = amplitude * np.cos(phase)

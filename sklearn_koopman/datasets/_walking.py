@@ -1,11 +1,18 @@
 """A synthetic two-link leg that walks."""
 
-from numbers import Integral
+from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
-from sklearn.utils import Bunch, check_array, check_random_state, check_scalar
+from sklearn.utils import Bunch, check_random_state
+
+from sklearn_koopman._utils._typing import Array
+from sklearn_koopman._utils._validation import (
+    check_integer,
+    check_number,
+    check_positive,
+)
 
 _DESCR = """\
 SYNTHETIC walking of a planar two-link leg
@@ -41,8 +48,8 @@ def make_walking(
     **Nothing here is measured.** Hip and knee follow Fourier series in the shape of
     human walking; cadence and amplitude grow with speed, and durations and amplitudes
     vary from stride to stride. The trials serve for examples and tests that need
-    several trajectories of unequal length whose answers are known. They are easier
-    to predict than recorded gait, and tell nothing about it.
+    several trajectories of unequal length with known outputs. They are easier to
+    predict than recorded gait, and allow no conclusions about it.
 
     Parameters
     ----------
@@ -53,7 +60,7 @@ def make_walking(
     speeds : array-like of shape (n_trials,), default=None
         Walking speeds [m/s]; by default evenly spaced from 0.6 to 1.5.
     rate : float, default=150.0
-        Samples a second.
+        Samples per second.
     variability : float, default=1.0
         Multiplies the variation from stride to stride; 0 gives a periodic motion.
         At 1 the standard deviations are 2 % in duration, 4 % in the excursion of the
@@ -77,9 +84,9 @@ def make_walking(
         speeds : ndarray of shape (n_trials,)
             The walking speeds [m/s].
         rate : float
-            Samples a second.
+            Samples per second.
         DESCR : str
-            What the data are, and are not.
+            A description of the data.
 
     Raises
     ------
@@ -115,9 +122,9 @@ def make_walking(
 
     References
     ----------
-    .. [1] Fukuchi, Fukuchi and Duarte (2018), "A public dataset of overground and
-       treadmill walking kinematics and kinetics in healthy individuals", PeerJ
-       6:e4640.
+    .. [1] C. A. Fukuchi, R. K. Fukuchi and M. Duarte, "A public dataset of overground
+       and treadmill walking kinematics and kinetics in healthy individuals", PeerJ 6,
+       e4640, 2018.
 
     Examples
     --------
@@ -130,15 +137,11 @@ def make_walking(
     >>> pairs.X.shape, pairs.y.shape
     ((1922, 4), (1922, 2))
     """
-    check_scalar(n_strides, "n_strides", Integral, min_val=1)
+    check_integer(n_strides, "n_strides", 1)
     if n_trials is not None:
-        check_scalar(n_trials, "n_trials", Integral, min_val=1)
-    if not 0 < rate < np.inf:
-        raise ValueError(f"rate={rate} must be positive and finite, in samples/s.")
-    if not 0 <= variability < np.inf:
-        raise ValueError(
-            f"variability={variability} must be finite and at least 0; 1 is typical."
-        )
+        check_integer(n_trials, "n_trials", 1)
+    check_number(rate, "rate", positive=True)
+    check_number(variability, "variability")
     pace = _check_speeds(speeds, n_trials)
     rng = check_random_state(random_state)
 
@@ -156,25 +159,17 @@ def make_walking(
     )
 
 
-def _check_speeds(
-    speeds: ArrayLike | None, n_trials: int | None
-) -> NDArray[np.float64]:
+def _check_speeds(speeds: ArrayLike | None, n_trials: int | None) -> Array:
     """Return one speed for each trial."""
     if speeds is None:
         return np.linspace(0.6, 1.5, 4 if n_trials is None else n_trials)
-    pace = check_array(
-        np.atleast_1d(speeds), dtype=np.float64, ensure_2d=False, input_name="speeds"
-    )
-    if pace.ndim != 1 or pace.min() <= 0:
-        raise ValueError(
-            f"speeds={speeds!r}; pass one positive walking speed [m/s] for each trial."
-        )
+    pace = check_positive(speeds, "speeds")
     if n_trials is not None and n_trials != len(pace):
         raise ValueError(
             f"n_trials={n_trials} but speeds holds {len(pace)}; leave n_trials out, "
             "there is one trial for each speed."
         )
-    return np.asarray(pace)
+    return pace
 
 
 def _trial(
@@ -183,7 +178,7 @@ def _trial(
     rate: float,
     variability: float,
     rng: np.random.RandomState,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+) -> tuple[Array, Array, dict[str, Array]]:
     """Return angles, hip in the room, and all markers relative to the hip."""
     # One value a stride boundary; the duration after the last one is not used.
     scatter = _ar1(n_strides + 1, len(_VARIATION), rng)
@@ -192,7 +187,7 @@ def _trial(
     strikes = np.concatenate([[0.0], np.cumsum(duration)])
     time = np.arange(np.floor(strikes[-1] * rate) + 1) / rate
 
-    def between_strikes(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def between_strikes(values: Array) -> Array:
         # Monotone, so that the phase never runs backwards.
         return np.asarray(PchipInterpolator(strikes, values)(time))
 
@@ -216,9 +211,7 @@ def _trial(
     return angles, hip, {"hip": np.zeros_like(knee), "knee": knee, "ankle": ankle}
 
 
-def _ar1(
-    n_strides: int, n_series: int, rng: np.random.RandomState
-) -> NDArray[np.float64]:
+def _ar1(n_strides: int, n_series: int, rng: np.random.RandomState) -> Array:
     """Draw stationary AR(1) series of unit variance as columns."""
     values = rng.standard_normal((n_strides, n_series))
     for stride in range(1, n_strides):
@@ -227,9 +220,7 @@ def _ar1(
     return values
 
 
-def _fourier(
-    coefficients: NDArray[np.float64], phase: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _fourier(coefficients: Array, phase: Array) -> Array:
     """Evaluate a real Fourier series of period 1."""
     harmonics = 2 * np.pi * np.arange(1, len(coefficients) // 2 + 1)
     waves = np.outer(phase, harmonics)
@@ -240,13 +231,11 @@ def _fourier(
     )
 
 
-def _below(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+def _below(angle: Array) -> Array:
     """Unit vectors (forward, up) at an angle against the downward vertical."""
     return np.column_stack([np.sin(angle), -np.cos(angle)])
 
 
-def _in_room(
-    hip: NDArray[np.float64], offset: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _in_room(hip: Array, offset: Array) -> Array:
     """Place a point of the leg, given relative to the hip, in the room."""
     return hip + np.column_stack([offset, np.zeros(len(offset))])

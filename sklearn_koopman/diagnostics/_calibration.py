@@ -1,4 +1,4 @@
-"""Whether stated standard deviations hold."""
+"""How far stated standard deviations agree with errors."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from sklearn.model_selection import check_cv
 from sklearn.utils import Bunch, indexable
 
 from sklearn_koopman._utils._pipeline import transformed, unwrap
+from sklearn_koopman._utils._typing import Array
 from sklearn_koopman._utils._validation import check_positive
 from sklearn_koopman.trajectories import TrajectoryKFold
 
@@ -32,16 +33,16 @@ def calibration_study(
     ----------
     estimator : estimator
         A :class:`~sklearn_koopman.KoopmanKernelRegressor`, or any other whose
-        `predict` has `return_std`, or a pipeline that ends in one, or a search of
-        either, which gets `groups` as well. It is not changed.
+        `predict` has the parameter `return_std`; or a pipeline that ends in one; or a
+        search of either, to which `groups` are passed. It is not changed.
     X : array-like of shape (n_samples, n_features)
         The states.
     y : array-like of shape (n_samples,) or (n_samples, n_outputs)
         Their outputs one step later.
     groups : array-like of shape (n_samples,), default=None
-        The trajectory of each row, so that whole ones are left out.
+        The trajectory of each row, so that whole trajectories are left out.
     cv : int, cross-validation generator or iterable, default=None
-        How rows are left out. A number is that of the folds of
+        How rows are left out. An integer is the number of folds of
         :class:`~sklearn_koopman.TrajectoryKFold`; None means up to five.
     levels : array-like of shape (n_levels,)
         Probabilities of the central intervals of a normal distribution.
@@ -54,12 +55,13 @@ def calibration_study(
         level : ndarray of shape (n_levels,)
             The probabilities.
         coverage : ndarray of shape (n_levels,)
-            How many of the held-out outputs, as a fraction, lie in the intervals.
+            The fraction of the held-out outputs that lie in the intervals.
         fold_coverage : ndarray of shape (n_folds, n_levels)
             The same for each fold.
         ratio : float
-            Root mean square of errors over their stated standard deviations: 1 if
-            these are right, and what to multiply them by if not.
+            Root mean square of the errors divided by their stated standard deviations.
+            It is 1 if the deviations are right. Otherwise it is the factor by which to
+            multiply the deviations.
         fold_ratio : ndarray of shape (n_folds,)
             The same for each fold.
 
@@ -71,14 +73,16 @@ def calibration_study(
 
     Notes
     -----
-    Rows along a trajectory are alike: a fold that stands for another subject or speed
-    tells more than thousands of rows, and the spread of `fold_ratio` how little is
-    known from few folds.
+    Rows along a trajectory are similar, so that the number of folds matters more than
+    the number of rows. Let each fold be another subject or speed. If `fold_ratio`
+    varies much from fold to fold, then `ratio` is uncertain.
+
+    The cost is one fit for each fold.
 
     Examples
     --------
-    Pendulums swing more smoothly than the kernel makes believe; the deviations are too
-    wide:
+    The motion of pendulums is smoother than a typical function of this kernel, so that
+    the stated deviations are too large:
 
     >>> from sklearn_koopman import KoopmanKernelRegressor, SeparatedCenterSelector
     >>> from sklearn_koopman.datasets import make_pendulum
@@ -107,8 +111,8 @@ def calibration_study(
     if isinstance(cv, Integral):
         if cv < 2:
             raise ValueError(
-                f"cv={cv} leaves nothing to learn from; give groups of two "
-                "trajectories at least, or a splitter that leaves out parts of one."
+                f"cv={cv} leaves nothing to learn from; give groups of at least two "
+                "trajectories, or a splitter that leaves out parts of a trajectory."
             )
         cv = TrajectoryKFold(int(cv))
     limits = ndtri((1 + levels) / 2)
@@ -116,31 +120,37 @@ def calibration_study(
     scaled = []  # errors over standard deviations, an array a fold
     for train, test in check_cv(cv).split(X, y, groups):
         model = clone(estimator)
-        inner = {}
-        if groups is not None and hasattr(model, "refit"):
-            inner["groups"] = np.asarray(groups)[train]
+        is_search = groups is not None and hasattr(model, "refit")
+        inner = {"groups": np.asarray(groups)[train]} if is_search else {}
         model.fit(_rows(X, train), y[train], **inner)
         final, front = unwrap(model)
         if "return_std" not in signature(final.predict).parameters:
             raise ValueError(
-                f"{type(final).__name__}.predict has no return_std; calibration is "
-                "that of stated standard deviations."
+                f"{type(final).__name__}.predict has no return_std; pass an estimator "
+                "that states standard deviations."
             )
         states = transformed(front, _rows(X, test))
-        mean, std = final.predict(states, return_std=True)
-        missed = np.abs(y[test] - np.reshape(mean, y[test].shape)).reshape(-1, 1)
-        std = np.reshape(std, (-1, 1))
-        # No error is within any standard deviation, zero included.
+        mean, std = (np.reshape(v, -1) for v in final.predict(states, return_std=True))
+        missed = np.abs(y[test].ravel() - mean)
+        # No error is right for any standard deviation, zero included.
         with np.errstate(divide="ignore"):
             scaled.append(np.divide(missed, std, out=0 * missed, where=missed > 0))
-    together = np.concatenate(scaled)
+    everything = np.concatenate(scaled)
     return Bunch(
         level=levels,
-        coverage=(together <= limits).mean(axis=0),
-        fold_coverage=np.array([(z <= limits).mean(axis=0) for z in scaled]),
-        ratio=float(np.sqrt(np.mean(together**2))),
-        fold_ratio=np.array([np.sqrt(np.mean(z**2)) for z in scaled]),
+        coverage=_coverage(everything, limits),
+        fold_coverage=np.array([_coverage(fold, limits) for fold in scaled]),
+        ratio=float(_root_mean_square(everything)),
+        fold_ratio=np.array([_root_mean_square(fold) for fold in scaled]),
     )
+
+
+def _coverage(scaled: Array, limits: Array) -> Array:
+    return np.less_equal.outer(scaled, limits).mean(axis=0)
+
+
+def _root_mean_square(scaled: Array) -> Any:
+    return np.sqrt(np.mean(scaled**2))
 
 
 def _rows(X: Any, rows: Any) -> Any:

@@ -1,4 +1,4 @@
-"""How many digits a Gram matrix costs."""
+"""Condition of Gram matrices, and the digits that it costs."""
 
 from __future__ import annotations
 
@@ -18,18 +18,14 @@ from sklearn_koopman._utils._typing import Array
 from sklearn_koopman._utils._validation import check_number
 from sklearn_koopman.kernels import as_kernel
 
-# Up to this many centres all eigenvalues are computed.
-DENSE = 1500
-
 
 def condition_number(
-    kernel: Any,
-    centers: Any,
-    *,
-    beta: float | None = None,
-    alpha: float = 0.0,
+    kernel: Any, centers: Any, *, beta: float | None = None, alpha: float = 0.0
 ) -> float:
     """Compute the condition number of the Gram matrix of a kernel at centres.
+
+    The Gram matrix K holds the kernel of all pairs of centres :math:`\\Xi`. Its
+    condition number is the ratio of its largest and its smallest eigenvalue:
 
     .. math:: \\operatorname{cond}(K) = \\lambda_{\\max}(K) / \\lambda_{\\min}(K),
         \\quad K = k(\\Xi, \\Xi) + \\alpha I
@@ -37,21 +33,21 @@ def condition_number(
     Parameters
     ----------
     kernel : str or Kernel
-        As for :class:`~sklearn_koopman.KoopmanKernelRegressor`, whose `kernel_` and
-        `centers_` can be given here once it is fitted.
+        As for :class:`~sklearn_koopman.KoopmanKernelRegressor`. The `kernel_` and the
+        `centers_` of a fitted one can be given here.
     centers : array-like of shape (n_centers, n_features)
         The centres.
     beta : float, default=None
-        Scale of the kernel; None leaves that of the kernel object, and means 1 for a
+        Scale of the kernel. None keeps the scale of a kernel object, and means 1 for a
         name.
     alpha : float, default=0.0
-        What is added to the diagonal.
+        The number that is added to the diagonal.
 
     Returns
     -------
     condition_number : float
-        The ratio of the eigenvalues; infinite where the smallest one is not positive,
-        or double precision does not tell it from zero.
+        The ratio of the eigenvalues; infinite if the smallest one is not above
+        rounding error.
 
     Raises
     ------
@@ -65,10 +61,11 @@ def condition_number(
 
     Notes
     -----
-    From all eigenvalues of up to 1,500 centres; of more, to three digits or better, by
-    the Lanczos method for the largest one and for that of the inverse, through a
-    Cholesky factor. Where that fails, by a reduction to tridiagonal form, which takes
-    several times as long.
+    For up to 1,500 centres all eigenvalues are computed. For more, the largest
+    eigenvalues of the matrix and of its inverse are found to three digits or better by
+    the Lanczos method, with a Cholesky factor for the inverse. Where that fails, all
+    eigenvalues are computed, which takes several times as long. The time is
+    O(n_centers^3), the memory one or two matrices of n_centers^2 numbers.
 
     Examples
     --------
@@ -85,18 +82,14 @@ def condition_number(
 
 
 def smallest_eigenvalue(
-    kernel: Any,
-    centers: Any,
-    *,
-    beta: float | None = None,
-    alpha: float = 0.0,
+    kernel: Any, centers: Any, *, beta: float | None = None, alpha: float = 0.0
 ) -> float:
     """Compute the smallest eigenvalue of the Gram matrix of a kernel at centres.
 
-    For a kernel of Sobolev order tau in R^d it is bounded below by a constant times
-    the power ``2 tau - d`` of the separation distance ([1]_), on an m-dimensional
-    manifold in R^d as well: the order there, s = tau - (d - m) / 2, gives the same
-    power ``2 s - m``.
+    For a kernel of Sobolev order tau in R^d (:func:`sobolev_rates`) the eigenvalue is
+    bounded from below by a constant times the power ``2 tau - d`` of the separation
+    distance ([1]_). On an m-dimensional manifold in R^d the power is the same, because
+    the order there is s = tau - (d - m) / 2, so that ``2 s - m = 2 tau - d``.
 
     Parameters
     ----------
@@ -107,14 +100,14 @@ def smallest_eigenvalue(
     beta : float, default=None
         Scale of the kernel.
     alpha : float, default=0.0
-        What is added to the diagonal.
+        The number that is added to the diagonal.
 
     Returns
     -------
     smallest_eigenvalue : float
-        The eigenvalue; zero where double precision does not tell it from zero, which
-        is below ``eps * sqrt(n_centers)`` times the largest one. Negative if the
-        kernel is not positive definite.
+        The eigenvalue, in the unit of the kernel. Zero if it is below rounding error,
+        which is ``eps * sqrt(n_centers)`` times the largest eigenvalue. Negative if
+        the kernel is not positive definite.
 
     Raises
     ------
@@ -136,22 +129,23 @@ def smallest_eigenvalue(
 
 
 def digits_lost(condition_number: Any) -> Any:
-    """Tell how many of the 16 digits of the coefficients a Gram matrix costs.
+    """Compute how many of 16 digits the coefficients lose by a Gram matrix.
 
-    Coefficients computed from a matrix and values with relative errors e are off by up
-    to cond(K) times e ([1]_, bound on the numerical stability): log10 of the condition
-    number is how many digits the coefficients have less than the data. Predictions
-    lose fewer, since the errors of the coefficients largely cancel.
+    If a matrix K and values have relative errors e, then the coefficients computed from
+    them have relative errors of up to cond(K) times e ([1]_, bound on the numerical
+    stability). So the coefficients have log10 cond(K) digits less than the data.
+    Predictions lose fewer digits, because the errors of the coefficients largely cancel
+    in them.
 
     Parameters
     ----------
-    condition_number : array-like
-        The condition number, or many.
+    condition_number : float or array-like
+        One or several condition numbers.
 
     Returns
     -------
     digits : float or ndarray
-        Between 0 and 16, which is none left.
+        The decimal digits lost, from 0 to 16; at 16 no digit is left.
 
     Raises
     ------
@@ -160,8 +154,9 @@ def digits_lost(condition_number: Any) -> Any:
 
     References
     ----------
-    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
-       of Animal Motions over Unknown Submanifolds", Section 4.1.
+    .. [1] N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+       for Estimation of Animal Motions over Unknown Submanifolds",
+       arXiv:2203.05646, 2022, Section 4.1.
 
     Examples
     --------
@@ -179,7 +174,12 @@ def digits_lost(condition_number: Any) -> Any:
 
 
 def extreme_eigenvalues(
-    kernel: Any, centers: Any, beta: float | None = None, alpha: float = 0.0
+    kernel: Any,
+    centers: Any,
+    beta: float | None = None,
+    alpha: float = 0.0,
+    *,
+    max_dense: int = 1500,
 ) -> tuple[float, float]:
     """Compute the smallest and the largest eigenvalue of a Gram matrix.
 
@@ -192,75 +192,55 @@ def extreme_eigenvalues(
     beta : float, default=None
         Scale of the kernel.
     alpha : float, default=0.0
-        What is added to the diagonal.
+        The number that is added to the diagonal.
+    max_dense : int, default=1500
+        Up to this many centres all eigenvalues are computed.
 
     Returns
     -------
     smallest : float
-        The smallest eigenvalue; zero where rounding does not tell it from zero.
+        The smallest eigenvalue; zero if it is below rounding error.
     largest : float
-        The largest.
+        The largest eigenvalue.
     """
     check_number(alpha, "alpha")
     points = check_array(centers, dtype=np.float64, input_name="centers")
+    n = len(points)
     resolved = as_kernel(kernel, beta, points.shape[1])
-    K, _, norm = gram_matrix(
-        KernelSections(resolved, points), points, np.full(len(points), alpha)
-    )
+    sections = KernelSections(resolved, points)
+    K, _, norm = gram_matrix(sections, np.full(n, alpha))
     if not np.isfinite(norm):
         raise ValueError(
             f"kernel={resolved!r} has values that are not finite on these centres; "
             "rescale them, or take another kernel."
         )
-    return _extremes(K)
+    smallest, largest = _extremes(K, max_dense)
+    rounding = float(np.finfo(np.float64).eps * np.sqrt(n)) * largest
+    return smallest if abs(smallest) > rounding else 0.0, largest
 
 
-def _extremes(K: Array) -> tuple[float, float]:
+def _extremes(K: Array, max_dense: int) -> tuple[float, float]:
     """Return the extreme eigenvalues of a matrix given by its lower triangle."""
     n = len(K)
-    if n <= DENSE:
-        values = eigvalsh(K, check_finite=False)
-        return _told(float(values[0]), float(values[-1]), n)
-    largest = _largest(lambda x: dsymv(1.0, K, x, lower=1), n)
-    if largest is None:
-        largest = float(
-            eigvalsh(K, subset_by_index=[n - 1, n - 1], check_finite=False)[0]
-        )
-    inverse = None
-    with suppress(np.linalg.LinAlgError):
-        factor = cholesky(K, lower=True, check_finite=False)
-        inverse = _largest(lambda x: dpotrs(factor, x, lower=1)[0].ravel(), n)
-    if inverse is None:  # not positive definite, or without an end to its spectrum
-        smallest = float(eigvalsh(K, subset_by_index=[0, 0], check_finite=False)[0])
-    else:
-        smallest = 1 / inverse
-    return _told(smallest, largest, n)
+    # Not for matrices without a Cholesky factor, or where Lanczos does not converge.
+    if n > max_dense:
+        with suppress(np.linalg.LinAlgError, ArpackNoConvergence):
+            largest = _largest(lambda x: dsymv(1.0, K, x, lower=1), n)
+            factor = cholesky(K, lower=True, check_finite=False)
+            inverse = _largest(lambda x: dpotrs(factor, x, lower=1)[0].ravel(), n)
+            return 1 / inverse, largest
+    values = eigvalsh(K, check_finite=False)
+    return float(values[0]), float(values[-1])
 
 
-def _told(smallest: float, largest: float, n: int) -> tuple[float, float]:
-    """Take the smallest eigenvalue for zero where rounding does not tell it from it."""
-    unit = float(np.finfo(np.float64).eps * np.sqrt(n))
-    return smallest if abs(smallest) > unit * largest else 0.0, largest
-
-
-def _largest(product: Callable[[Array], Array], n: int) -> float | None:
-    """Return the largest eigenvalue by the Lanczos method; None if it is not found."""
+def _largest(product: Callable[[Array], Array], n: int) -> float:
+    """Return the largest eigenvalue of a matrix by the Lanczos method."""
     operator = LinearOperator(
         (n, n), matvec=lambda x: product(x.ravel()), dtype=np.float64
     )
     # Any start but an eigenvector will do; a fixed one makes results repeatable. The
-    # error of an eigenvalue is far below the tolerance, which is that of its vector.
+    # tolerance is that of the eigenvector: the eigenvalue is far more accurate.
     start = np.random.RandomState(0).standard_normal(n)
-    try:
-        found = eigsh(
-            operator,
-            k=1,
-            which="LA",
-            v0=start,
-            maxiter=50,
-            tol=1e-3,
-            return_eigenvectors=False,
-        )
-    except ArpackNoConvergence:
-        return None
-    return float(found[0])
+    options: dict[str, Any] = {"k": 1, "which": "LA", "v0": start}
+    options |= {"maxiter": 50, "tol": 1e-3, "return_eigenvectors": False}
+    return float(eigsh(operator, **options)[0])

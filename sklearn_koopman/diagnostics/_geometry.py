@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
@@ -15,12 +14,18 @@ from sklearn.utils import check_array, check_random_state, gen_batches
 
 from sklearn_koopman._utils._rows import distinct_rows
 from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman._utils._validation import check_integer, check_magnitude
+from sklearn_koopman._utils._validation import (
+    check_choice,
+    check_integer,
+    check_magnitude,
+)
+from sklearn_koopman._utils._warnings import warn
 
-# Rows whose neighbours are sought at a time.
-BATCH = 2**16
-# The distances to this neighbour and that of twice its order tell the dimension.
-NEIGHBOR = 4
+# Rows whose nearest centres are sought at a time, which bounds the memory.
+BATCH_ROWS = 2**16
+# The dimension is estimated from the distances to this neighbour and to the one of
+# twice its order.
+NEIGHBOR_ORDER = 4
 
 
 def fill_distance(
@@ -30,13 +35,14 @@ def fill_distance(
     metric: str = "euclidean",
     n_neighbors: int | None = None,
 ) -> float:
-    """Compute how far a point of the manifold can be from the nearest centre.
+    """Compute the largest distance of a point of the manifold from its nearest centre.
 
     .. math:: h = \\max_{x \\in Q} \\min_i d(x, \\xi_i)
 
-    for reference points in the place of the unknown manifold Q. The error of an
-    interpolant falls with a power of it ([1]_, theorem on the approximation of the
-    Koopman operator); :func:`sobolev_rates` tells which.
+    The manifold Q is unknown, so the maximum is taken over reference points on it. The
+    error of an interpolant falls with a power of the fill distance ([1]_, theorem on
+    the approximation of the Koopman operator). :func:`sobolev_rates` returns that
+    power.
 
     Parameters
     ----------
@@ -46,15 +52,16 @@ def fill_distance(
         Samples that cover the manifold, many times as many as centres. Trajectories
         in the order of time.
     metric : {"euclidean", "geodesic"}, default="euclidean"
-        Distances through the space around the manifold, or along it. For "geodesic"
-        they are lengths of shortest paths in a neighbourhood graph of the samples,
-        which do not jump over the gap between two branches of the manifold, as long
-        as the gap is wider than the neighbourhoods.
+        Distances through the space around the manifold, or along the manifold. For
+        "geodesic" distances are lengths of shortest paths in a graph, in which every
+        sample is connected with its neighbours. Such paths do not jump over the gap
+        between two branches of the manifold if the gap is wider than the distances of
+        neighbours.
     n_neighbors : int, default=None
-        Number of neighbours in the graph, for "geodesic" only. More of them make paths
-        straighter, and jump over wider gaps. None takes a 20th of the points of the
-        graph, but at least 6 and at most 20: paths are then too short by some 0.1 %
-        on curves, which they cut, and too long by 1 or 2 % on surfaces.
+        Number of neighbours in the graph, for "geodesic" only. With more neighbours
+        paths are straighter, but jump over wider gaps. None takes a 20th of the points
+        of the graph, but at least 6 and at most 20. Paths are then too short by some
+        0.1 % on curves, because they cut corners, and too long by 1 or 2 % on surfaces.
 
     Returns
     -------
@@ -64,14 +71,14 @@ def fill_distance(
     Raises
     ------
     ValueError
-        If the arrays do not fit together, or if the neighbourhood graph has parts
-        without a centre.
+        If the arrays do not fit together, or if the graph has parts without a centre.
 
     Warns
     -----
     UserWarning
-        If the paths of ``metric="geodesic"`` follow a trajectory, whose passages lie
-        closer together than the centres.
+        If `metric` is "geodesic" and neighbours are mostly the samples just before and
+        after on a trajectory, although the trajectory passes by again closer than the
+        distance of the centres.
 
     See Also
     --------
@@ -80,18 +87,22 @@ def fill_distance(
 
     Notes
     -----
-    Euclidean distances come from a kd-tree of the centres, and shortest paths from
-    Dijkstra's algorithm, from all centres at once.
+    Euclidean distances are found by a kd-tree of the centres, in some
+    O(n_samples log n_centers) for few features. Shortest paths are found by Dijkstra's
+    algorithm from all centres at once, in O(n log n) for n points of the graph with a
+    fixed number of neighbours. Memory is O(n_samples).
 
-    On a finely sampled trajectory the nearest neighbours are the samples just before
-    and after, and paths follow the trajectory: right, if it is the manifold, but not
-    where it winds around a surface. Only its user knows; where it matters a warning
-    tells at which separation to thin it.
+    On a finely sampled trajectory the nearest neighbours of a sample are the samples
+    just before and after it, and paths follow the trajectory. That is right if the
+    manifold is the trajectory, but not if the trajectory winds around a surface. The
+    samples alone do not show which is the case. Where the difference matters, a
+    warning states the separation at which to thin the trajectory.
 
     References
     ----------
-    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
-       of Animal Motions over Unknown Submanifolds".
+    .. [1] N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+       for Estimation of Animal Motions over Unknown Submanifolds",
+       arXiv:2203.05646, 2022.
 
     Examples
     --------
@@ -105,10 +116,7 @@ def fill_distance(
     >>> round(fill_distance(centers, circle, metric="geodesic"), 3)  # pi / 4
     0.785
     """
-    centers, reference = _checked_points(centers, reference)
-    if _is_geodesic(metric, n_neighbors):
-        return _neighborhoods(centers, reference, n_neighbors).fill_distance()
-    return _fill_distance(centers, reference)
+    return measure(centers, reference, metric, n_neighbors).fill_distance()
 
 
 def separation_distance(
@@ -118,11 +126,12 @@ def separation_distance(
     metric: str = "euclidean",
     n_neighbors: int | None = None,
 ) -> float:
-    """Compute the radius of the largest disjoint balls around the centres.
+    """Compute half the smallest distance of two centres.
 
     .. math:: q = \\tfrac{1}{2} \\min_{i \\ne j} d(\\xi_i, \\xi_j)
 
-    The smallest eigenvalue of the Gram matrix falls with a power of it
+    Balls of this radius around the centres do not overlap. The smallest eigenvalue of
+    the Gram matrix falls with a power of the separation distance
     (:func:`conditioning_study`).
 
     Parameters
@@ -139,8 +148,8 @@ def separation_distance(
     Returns
     -------
     separation_distance : float
-        Half the smallest distance of two centres; zero if two are equal, infinite for
-        a single one, and for centres without a path between any two of them.
+        The distance, in the unit of the states: zero if two centres are equal, infinite
+        for a single centre, and for centres without a path between any two of them.
 
     Raises
     ------
@@ -158,15 +167,14 @@ def separation_distance(
     >>> separation_distance([[0.0, 0.0], [3.0, 4.0], [9.0, 9.0]])
     2.5
     """
-    if _is_geodesic(metric, n_neighbors):
-        if reference is None:
-            raise ValueError(
-                "metric='geodesic' needs reference: samples that cover the manifold, "
-                "which the paths between the centres follow."
-            )
-        centers, reference = _checked_points(centers, reference)
-        return _neighborhoods(centers, reference, n_neighbors).separation_distance()
-    return _separation_distance(_checked(centers, "centers"))
+    if metric == "geodesic" and reference is None:
+        raise ValueError(
+            "metric='geodesic' needs reference: samples that cover the manifold, which "
+            "the paths between the centres follow."
+        )
+    if metric == "euclidean":
+        reference = centers
+    return measure(centers, reference, metric, n_neighbors).separation_distance()
 
 
 def mesh_ratio(
@@ -176,13 +184,13 @@ def mesh_ratio(
     metric: str = "euclidean",
     n_neighbors: int | None = None,
 ) -> float:
-    """Compute the fill distance over the separation distance.
+    """Compute the fill distance divided by the separation distance.
 
-    Centres with a small ratio are quasi-uniform: they make the most of the fill
-    distance that their conditioning pays for. Those of
-    :class:`~sklearn_koopman.SeparatedCenterSelector`, without `max_centers`, have a
-    ratio of at most 2 in Euclidean distances, with respect to the samples that they
-    were chosen among.
+    Centres with a small ratio are called quasi-uniform: no gap between them is much
+    wider than the distance of neighbours. For centres of
+    :class:`~sklearn_koopman.SeparatedCenterSelector` without `max_centers` the
+    Euclidean ratio is at most 2, with respect to the samples that they were chosen
+    from.
 
     Parameters
     ----------
@@ -199,11 +207,16 @@ def mesh_ratio(
     -------
     mesh_ratio : float
         The ratio; infinite if two centres are equal, and zero for a single centre,
-        which is infinitely separated.
+        whose separation distance is infinite.
 
     Raises
     ------
     ValueError
+        As for :func:`fill_distance`.
+
+    Warns
+    -----
+    UserWarning
         As for :func:`fill_distance`.
 
     Examples
@@ -212,13 +225,8 @@ def mesh_ratio(
     >>> mesh_ratio([[0.0], [2.0]], [[0.0], [0.5], [2.0], [4.0]])
     2.0
     """
-    centers, reference = _checked_points(centers, reference)
-    if _is_geodesic(metric, n_neighbors):
-        graph = _neighborhoods(centers, reference, n_neighbors)
-        fill, separation = graph.fill_distance(), graph.separation_distance()
-    else:
-        fill = _fill_distance(centers, reference)
-        separation = _separation_distance(centers)
+    distances = measure(centers, reference, metric, n_neighbors)
+    fill, separation = distances.fill_distance(), distances.separation_distance()
     return fill / separation if separation > 0 else np.inf
 
 
@@ -230,20 +238,20 @@ def intrinsic_dimension(
 ) -> tuple[float, float]:
     """Estimate the dimension of the manifold that samples lie on.
 
-    The number of samples in a ball grows with the power m of its radius, so that the
-    distances r_n and r_2n of the n-th and the 2n-th neighbour tell the dimension m
-    ([1]_). With n = 4,
+    The number of samples in a ball grows with the power m of its radius, where m is the
+    dimension. The estimate uses the distances r_n and r_2n of a sample from its n-th
+    and its 2n-th neighbour ([1]_). With n = 4,
 
     .. math:: \\hat m = \\frac{\\psi(2n) - \\psi(n)}
         {\\operatorname{mean} \\log (r_{2n} / r_n)},
 
     where the digamma function :math:`\\psi` makes :math:`1 / \\hat m` exact on average
-    for independent samples (where the density hardly varies from r_n to r_2n).
+    for independent samples whose density hardly varies from r_n to r_2n.
 
     On a finely sampled trajectory all near neighbours are the samples just before and
-    after, and every such estimate says 1. Therefore it is made on random subsets of
-    the samples, with steps along the trajectory as long as the distance at which the
-    motion comes back to where it was, or longer.
+    after, so that every such estimate would be 1. Therefore the estimate uses random
+    subsets of the samples. The steps of a subset along the trajectory are at least as
+    long as the distance at which the motion comes back to where it was.
 
     Parameters
     ----------
@@ -251,11 +259,11 @@ def intrinsic_dimension(
         The states: of trajectories in the order of time, one after the other, or
         independent samples in any order.
     n_points : int, default=None
-        Number of points of each of up to four random subsets, which sets the scale:
-        with fewer of them, larger balls are looked at. None takes the smallest of a
-        quarter of the samples (half of them, below 160), ``5 sqrt(n_samples)``, and as
-        many as make the step between them two times the median distance at which the
-        motion returns.
+        Number of points of each of up to four random subsets. It sets the scale: with
+        fewer points the balls are larger. None takes the smallest of three numbers: a
+        quarter of the samples (half, if there are fewer than 160);
+        ``5 sqrt(n_samples)``; and the number for which the step between points is twice
+        the median distance at which the motion returns.
     random_state : int, RandomState instance or None, default=0
         Seed of the subsets.
 
@@ -264,11 +272,11 @@ def intrinsic_dimension(
     dimension : float
         The estimate. It is not rounded.
     standard_error : float
-        The root of the sum of two squares: of ``dimension`` over the root of the
-        number of points used (twice the statistical error of independent ratios, of
-        which there are fewer than points, since balls overlap); and of the change of
-        the estimate from subsets to half as large ones, which shows where curvature
-        or noise matter.
+        The root of the sum of two squares. The first term is ``dimension`` divided by
+        the root of the number of points used. It is twice the statistical error that
+        independent ratios would have, because balls overlap and so the ratios are not
+        independent. The second term is the change of the estimate from the subsets to
+        subsets of half the size, which is large where curvature or noise matter.
 
     Raises
     ------
@@ -277,16 +285,19 @@ def intrinsic_dimension(
 
     Notes
     -----
-    A dimension is a matter of scale: noise of the measurement fills all dimensions
-    below its own size. Lower `n_points` looks beyond it. Features should have
-    comparable units.
+    The dimension depends on the scale: noise of the measurement fills all dimensions
+    below its own size. With a lower `n_points` the balls are larger than the noise.
+    Features should have comparable units.
 
-    Near a boundary balls are cut off, which lowers the estimate: by some 5 % for a
-    square and 10 % for a cube, which is more than the standard error. Many independent
-    samples deserve more `n_points` than the default, which suits trajectories.
+    Near a boundary balls are cut off, which lowers the estimate by more than the
+    standard error: by some 5 % for a square and 10 % for a cube. For many independent
+    samples choose a larger `n_points` than the default, which suits trajectories.
 
-    A motion that does not come back, as a single stride, is a curve, whatever
+    A motion that does not come back, such as a single stride, is a curve, whatever
     manifold it would fill in time.
+
+    The cost is O(n_samples) for the distances at which the motion returns, and
+    O(n_points log n_points) for each subset with few features.
 
     References
     ----------
@@ -306,11 +317,11 @@ def intrinsic_dimension(
     """
     X = _checked(X, "X")
     X = X[distinct_rows(X)[0]]
-    smallest = 2 * (2 * NEIGHBOR + 1)
+    smallest = 2 * (2 * NEIGHBOR_ORDER + 1)
     if len(X) < 2 * smallest:
         raise ValueError(
             f"X has {len(X)} distinct rows; the intrinsic dimension needs at least "
-            f"{2 * smallest}, and is worth little with fewer than some hundred."
+            f"{2 * smallest}, and is unreliable with fewer than some hundred."
         )
     if n_points is None:
         fewest = 4 if len(X) >= 160 else 2
@@ -328,24 +339,25 @@ def intrinsic_dimension(
 
 
 def _ratio_dimension(X: Array, order: Indices, n_points: int) -> tuple[float, int]:
-    """Estimate the dimension from disjoint subsets of so many points."""
+    """Estimate the dimension from up to four disjoint subsets."""
     logs = []
     for first in range(0, min(4 * n_points, len(X) - n_points + 1), n_points):
         points = X[order[first : first + n_points]]
-        near, _ = _nearest(KDTree(points), points, [NEIGHBOR + 1, 2 * NEIGHBOR + 1])
+        # Each point is the first of its own neighbours.
+        orders = [NEIGHBOR_ORDER + 1, 2 * NEIGHBOR_ORDER + 1]
+        near = _neighbor_distances(KDTree(points), points, orders)
         logs.append(np.log(near[:, 1] / near[:, 0]))
     ratios = np.concatenate(logs)
     mean = float(ratios.mean())
-    if mean == 0:
-        return np.inf, len(ratios)
-    return float(digamma(2 * NEIGHBOR) - digamma(NEIGHBOR)) / mean, len(ratios)
+    growth = float(digamma(2 * NEIGHBOR_ORDER) - digamma(NEIGHBOR_ORDER))
+    return growth / mean if mean else np.inf, len(ratios)
 
 
 def _return_distances(X: Array, n_rows: int = 100) -> Array:
-    """Find how near the motion comes back to some of the rows, in the order of time.
+    """Find how near the motion comes back to some of the rows.
 
-    It comes back to x when, after it has been at a distance of 2 r at least, it is at
-    a distance of r. Infinite for those that it does not come back to.
+    The motion comes back to x at the distance r if it was at a distance of 2 r or more
+    in between. The distance is infinite for a row that it does not come back to.
     """
     returned = []
     for row in np.unique(np.linspace(0, len(X) - 1, n_rows).astype(int)):
@@ -365,83 +377,106 @@ def _return_in_steps(X: Array) -> float:
     return 2 * distance / step if np.isfinite(distance) else 0.0
 
 
-def _fill_distance(centers: Array, reference: Array) -> float:
-    tree, farthest = KDTree(centers), 0.0
-    for rows in gen_batches(len(reference), BATCH):
-        farthest = max(farthest, float(_nearest(tree, reference[rows], 1)[0].max()))
-    return farthest
-
-
-def _separation_distance(centers: Array) -> float:
-    if len(centers) < 2:
-        return np.inf
-    distances, _ = _nearest(KDTree(centers), centers, [2])
-    return float(distances.min()) / 2
-
-
-def _neighborhoods(centers: Array, reference: Array, n_neighbors: int | None) -> _Graph:
-    """Build the graph, and warn where neighbours are only those in time."""
-    graph = _Graph(centers, reference, n_neighbors)
-    if message := graph.follows(reference, _fill_distance(centers, reference)):
-        warnings.warn(message, UserWarning, stacklevel=3)
-    return graph
-
-
-def fill_and_separation(
-    centers: Array, states: Array, others: Array, metric: str
-) -> tuple[float, float, str]:
-    """Compute both distances at once.
+def measure(
+    centers: Any,
+    reference: Any,
+    metric: str,
+    n_neighbors: int | None = None,
+    trajectory: Array | None = None,
+) -> _Euclidean | _Geodesic:
+    """Prepare the distances of centres; warn where paths follow a trajectory.
 
     Parameters
     ----------
-    centers : ndarray of shape (n_centers, n_features)
+    centers : array-like of shape (n_centers, n_features)
         The centres.
-    states : ndarray of shape (n_samples, n_features)
-        States in the order of time.
-    others : ndarray of shape (n_others, n_features)
-        Further states on the manifold.
+    reference : array-like of shape (n_samples, n_features)
+        Samples that cover the manifold.
     metric : {"euclidean", "geodesic"}
         As for :func:`fill_distance`.
+    n_neighbors : int, default=None
+        As for :func:`fill_distance`.
+    trajectory : ndarray of shape (n_rows, n_features), default=None
+        The part of the reference that is in the order of time. None for all of it.
 
     Returns
     -------
-    fill : float
-        The fill distance with respect to all states.
-    separation : float
-        The separation distance.
-    message : str
-        What to warn of, if anything.
+    distances : _Euclidean or _Geodesic
+        With methods that compute the fill and the separation distance.
     """
-    reference = np.vstack([states, others])
-    fill = _fill_distance(centers, reference)
-    if not _is_geodesic(metric, None):
-        return fill, _separation_distance(centers), ""
-    graph = _Graph(centers, reference, None)
-    message = graph.follows(states, fill)
-    return graph.fill_distance(), graph.separation_distance(), message
+    check_choice(metric, "metric", ("euclidean", "geodesic"))
+    if n_neighbors is not None:
+        check_integer(n_neighbors, "n_neighbors", 1)
+        if metric == "euclidean":
+            raise ValueError("n_neighbors is for metric='geodesic' only.")
+    centers, reference = _checked(centers, "centers"), _checked(reference, "reference")
+    if centers.shape[1] != reference.shape[1]:
+        raise ValueError(
+            f"centers has {centers.shape[1]} features, but reference has "
+            f"{reference.shape[1]}; they must be states of the same kind (and scale)."
+        )
+    straight = _Euclidean(centers, reference)
+    if metric == "euclidean":
+        return straight
+    paths = _Geodesic(centers, reference, n_neighbors)
+    trajectory = reference if trajectory is None else trajectory
+    apart = float(np.median(_return_distances(trajectory)))
+    # Twice: neighbourhoods have to reach well into the next passage.
+    if np.median(paths.longest) < 2 * apart < 2 * straight.fill_distance():
+        warn(
+            f"The {paths.n_neighbors} neighbours of most points are mostly the samples "
+            f"just before and after, while the motion returns at a distance of "
+            f"{apart:.2g}: paths follow the trajectory. If its passages lie on a "
+            "surface rather than on a curve, thin the reference: "
+            f"reference[SeparatedCenterSelector({apart:.2g}).fit(reference)."
+            "center_indices_]."
+        )
+    return paths
 
 
-class _Graph:
-    """Shortest paths from the centres in a neighbourhood graph of all points."""
+class _Euclidean:
+    """Distances of centres through the space around the manifold."""
+
+    def __init__(self, centers: Array, reference: Array) -> None:
+        self.centers, self.reference = centers, reference
+        self.tree = KDTree(centers)
+
+    def fill_distance(self) -> float:
+        """Return the largest distance of a reference point from its nearest centre."""
+        return max(
+            float(_neighbor_distances(self.tree, self.reference[rows], [1]).max())
+            for rows in gen_batches(len(self.reference), BATCH_ROWS)
+        )
+
+    def separation_distance(self) -> float:
+        """Return half the smallest distance of two centres."""
+        # The nearest centre is the centre itself. A single one has no second.
+        return float(_neighbor_distances(self.tree, self.centers, [2]).min()) / 2
+
+
+class _Geodesic:
+    """Lengths of shortest paths from the centres in a graph of all points."""
 
     def __init__(
         self, centers: Array, reference: Array, n_neighbors: int | None
     ) -> None:
         nodes = np.vstack([centers, reference])
         nodes = nodes[distinct_rows(nodes)[0]]
-        n_centers = len(distinct_rows(centers)[0])  # they remain the first ones
-        self.equal_centers = n_centers < len(centers)
+        n_nodes = len(nodes)
+        n_centers = len(distinct_rows(centers)[0])  # they remain the first nodes
+        self.has_equal_centers = n_centers < len(centers)
         if n_neighbors is None:
-            n_neighbors = int(np.clip(len(nodes) // 20, 6, 20))
-        self.n_neighbors = min(n_neighbors, len(nodes) - 1)
-        # The nearest one of all is the point itself.
-        near = list(range(2, self.n_neighbors + 2))
-        length, end = _nearest(KDTree(nodes), nodes, near)
+            n_neighbors = int(np.clip(n_nodes // 20, 6, 20))
+        self.n_neighbors = min(n_neighbors, n_nodes - 1)
+        # The nearest node of all is the node itself.
+        near = [*range(1, self.n_neighbors + 2)]
+        found: Any = KDTree(nodes).query(nodes, k=near)
+        length, end = (neighbors[:, 1:] for neighbors in found)
         self.longest = length.max(axis=1, initial=0.0)
-        self.begin = np.repeat(np.arange(len(nodes)), self.n_neighbors)
+        self.begin = np.repeat(np.arange(n_nodes), self.n_neighbors)
         self.end, self.length = end.ravel(), length.ravel()
-        edges = csr_matrix(
-            (self.length, (self.begin, self.end)), shape=(len(nodes),) * 2
+        edges: Any = csr_matrix(
+            (self.length, (self.begin, self.end)), shape=(n_nodes, n_nodes)
         )
         self.distance, _, self.source = dijkstra(
             edges,
@@ -452,72 +487,36 @@ class _Graph:
         )
 
     def fill_distance(self) -> float:
-        lost = int(np.isinf(self.distance).sum())
-        if lost:
+        """Return the length of the longest path from a point to its nearest centre."""
+        n_lost = int(np.isinf(self.distance).sum())
+        if n_lost:
             raise ValueError(
-                f"{lost} of {len(self.distance)} points have no path to a centre along "
-                f"{self.n_neighbors} neighbours each: they lie on a part of the "
+                f"{n_lost} of {len(self.distance)} points have no path to a centre "
+                f"along {self.n_neighbors} neighbours each: they lie on a part of the "
                 "manifold without centres, or the samples are unevenly spread. Add "
                 "centres or samples there, raise n_neighbors, or thin the reference "
                 "by SeparatedCenterSelector."
             )
         return float(self.distance.max())
 
-    def follows(self, trajectory: Array, fill: float) -> str:
-        """Say so if paths follow a trajectory, between passages nearby."""
-        apart = float(np.median(_return_distances(trajectory)))
-        # Twice: neighbourhoods have to reach well into the next passage.
-        if not np.median(self.longest) < 2 * apart < 2 * fill:
-            return ""
-        return (
-            f"The {self.n_neighbors} neighbours of most points are mostly the samples "
-            f"just before and after, while the motion returns at a distance of "
-            f"{apart:.2g}: paths follow the trajectory. If its passages lie on a "
-            "surface rather than on a curve, thin the reference: "
-            f"reference[SeparatedCenterSelector({apart:.2g}).fit(reference)."
-            "center_indices_]."
-        )
-
     def separation_distance(self) -> float:
-        if self.equal_centers:
+        """Return half the length of the shortest path between two centres."""
+        if self.has_equal_centers:
             return 0.0
-        # The shortest path between two centres crosses once from the points nearest
-        # to the one to those nearest to the other.
+        # Every node has a nearest centre. The shortest path between two centres has
+        # one edge whose ends have different nearest centres.
         crossing = self.source[self.begin] != self.source[self.end]
         begin, end = self.begin[crossing], self.end[crossing]
-        ways = self.distance[begin] + self.length[crossing] + self.distance[end]
-        return float(ways.min(initial=np.inf)) / 2
+        paths = self.distance[begin] + self.length[crossing] + self.distance[end]
+        return float(paths.min(initial=np.inf)) / 2
 
 
-def _nearest(tree: KDTree, X: Array, which: int | list[int]) -> tuple[Array, Indices]:
-    """Return the distances and numbers of some of the nearest points of a tree."""
-    if which == []:
-        return np.empty((len(X), 0)), np.empty((len(X), 0), dtype=np.intp)
-    distances, indices = tree.query(X, k=[which] if isinstance(which, int) else which)
-    return np.asarray(distances, dtype=np.float64), np.asarray(indices, dtype=np.intp)
-
-
-def _is_geodesic(metric: Any, n_neighbors: int | None) -> bool:
-    if not isinstance(metric, str) or metric not in ("euclidean", "geodesic"):
-        raise ValueError(f"metric must be 'euclidean' or 'geodesic', got {metric!r}.")
-    if n_neighbors is not None:
-        check_integer(n_neighbors, "n_neighbors", 1)
-        if metric == "euclidean":
-            raise ValueError("n_neighbors is for metric='geodesic' only.")
-    return metric == "geodesic"
+def _neighbor_distances(tree: KDTree, X: Array, orders: list[int]) -> Array:
+    """Return the distances to the nearest points of a tree that have these orders."""
+    return np.asarray(tree.query(X, k=orders)[0], dtype=np.float64)
 
 
 def _checked(X: Any, name: str) -> Array:
     X = check_array(X, dtype=np.float64, input_name=name)
     check_magnitude(X, name=name)
     return np.asarray(X, dtype=np.float64)
-
-
-def _checked_points(centers: Any, reference: Any) -> tuple[Array, Array]:
-    centers, reference = _checked(centers, "centers"), _checked(reference, "reference")
-    if centers.shape[1] != reference.shape[1]:
-        raise ValueError(
-            f"centers has {centers.shape[1]} features, but reference has "
-            f"{reference.shape[1]}; they must be states of the same kind (and scale)."
-        )
-    return centers, reference

@@ -24,33 +24,37 @@ from sklearn_koopman.kernels import RadialKernel, as_kernel
 
 
 def sobolev_rates(kernel: Any, n_features: int, dimension: float) -> Bunch:
-    """Tell how fast errors fall with the fill distance, by the theory.
+    """Return how fast errors fall with the fill distance, according to theory.
 
-    A kernel in R^d whose Fourier transform decays like ``(1 + |w|^2) ** -tau`` has the
-    Sobolev space of order tau as its native space. Restricted to a manifold Q of
-    dimension m it has that of order ([1]_, theorem on restrictions)
+    The native space of a kernel is the function space that the kernel defines. For a
+    kernel in R^d whose Fourier transform decays like ``(1 + |w|^2) ** -tau`` it is the
+    Sobolev space of order tau. Restricted to a manifold Q of dimension m, the kernel
+    has the Sobolev space of order ([1]_, theorem on restrictions)
 
     .. math:: s = \\tau - (d - m) / 2 .
 
-    For s > m/2 interpolation at centres of fill distance h has, for functions of that
-    space, the errors ([2]_)
+    The fill distance h of centres is the largest distance of a point of Q from its
+    nearest centre. For s > m/2, interpolation of functions in that space has the errors
+    ([2]_)
 
     .. math:: \\sup_Q |g - g_M| = O(h^{s - m/2}), \\quad
         \\|g - g_M\\|_{L^2(Q)} = O(h^s),
 
-    and both fall by up to a further :math:`h^s` for smoother functions. The smallest
-    eigenvalue of the Gram matrix falls with the separation q at most like q^(2s - m),
-    and the condition number of quasi-uniform centres rises like q^(-2s).
+    and both errors fall by up to a further :math:`h^s` for smoother functions. As the
+    separation distance q becomes small, the smallest eigenvalue of the Gram matrix
+    falls at most like q^(2s - m), and the condition number of quasi-uniform centres
+    rises like q^(-2s).
 
     Parameters
     ----------
     kernel : str, Kernel or float
         As for :class:`~sklearn_koopman.KoopmanKernelRegressor`; or the order tau
-        itself, for a kernel that none is known for here.
+        itself, as a number, for a kernel whose order is not known here.
     n_features : int
         Dimension d of the space of states.
     dimension : float
-        Dimension m of the manifold, such as :func:`intrinsic_dimension` estimates it.
+        Dimension m of the manifold, such as an estimate of
+        :func:`intrinsic_dimension`.
 
     Returns
     -------
@@ -59,7 +63,7 @@ def sobolev_rates(kernel: Any, n_features: int, dimension: float) -> Bunch:
 
         tau, s : float
             The orders in R^d and on the manifold; infinite for kernels that are
-            smoother than any Sobolev order, NaN for those of which it is not known.
+            smoother than any Sobolev order, NaN if the order is not known.
         sup_exponent, rms_exponent : float
             The exponents ``s - m / 2`` and ``s`` above; NaN if the theorem does not
             apply.
@@ -68,7 +72,7 @@ def sobolev_rates(kernel: Any, n_features: int, dimension: float) -> Bunch:
         applies : bool
             Whether s > m/2, with an order tau that is known.
         statement : str
-            All this in words.
+            The rates in words.
 
     Raises
     ------
@@ -81,15 +85,16 @@ def sobolev_rates(kernel: Any, n_features: int, dimension: float) -> Bunch:
 
     Notes
     -----
-    [1]_ prints the exponent s - m' with an integer m' > m/2. That here is the sharper
-    one of [2]_. The observed order may be lower if the outputs are not as smooth as
-    the theorem asks, if the centres are too few for the asymptotics, or at the
-    rounding floor.
+    [1]_ prints the exponent s - m' with an integer m' > m/2. The exponent s - m/2 here
+    is the sharper one of [2]_. The observed order may be lower if the outputs are less
+    smooth than the theorem assumes, if there are too few centres for the asymptotic
+    order, or if errors are at the level of rounding.
 
     References
     ----------
-    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
-       of Animal Motions over Unknown Submanifolds".
+    .. [1] N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+       for Estimation of Animal Motions over Unknown Submanifolds",
+       arXiv:2203.05646, 2022.
     .. [2] E. Fuselier and G. B. Wright, "Scattered data interpolation on embedded
        submanifolds with restricted positive definite kernels: Sobolev error
        estimates", SIAM Journal on Numerical Analysis 50, 2012.
@@ -120,8 +125,8 @@ def sobolev_rates(kernel: Any, n_features: int, dimension: float) -> Bunch:
     applies = bool(s > m / 2)
     if np.isnan(tau):
         statement = (
-            f"no rate is known, since the Sobolev order of {kernel!r} is not; if you "
-            "know it, give the order tau itself, a number, as the kernel"
+            f"no rate is known, because the Sobolev order of {kernel!r} is not known; "
+            "if you know it, give the order tau, a number, as the kernel"
         )
     elif not applies:
         statement = (
@@ -155,8 +160,8 @@ def _order(kernel: Kernel, n_features: int) -> float:
     if isinstance(kernel, RBF | RationalQuadratic):
         return np.inf
     # The native space of a sum is the sum of the spaces. The transform of a product is
-    # a convolution, and decays as the slower one does.
-    # Constants change neither, nor does noise a sum.
+    # a convolution, which decays like the slower one. A constant changes the order of
+    # neither, and noise does not change that of a sum.
     if isinstance(kernel, Sum | Product):
         neutral: Any = ConstantKernel
         if isinstance(kernel, Sum):

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgWarning
 from scipy.stats import linregress, t
 from sklearn.base import clone
@@ -16,8 +15,9 @@ from sklearn.utils import Bunch, check_array, check_consistent_length
 
 from sklearn_koopman._selection import sequential_centers
 from sklearn_koopman._utils._pipeline import transformed, unwrap
-from sklearn_koopman._utils._typing import Array
+from sklearn_koopman._utils._typing import Array, Mask
 from sklearn_koopman._utils._validation import check_number, check_positive
+from sklearn_koopman._utils._warnings import warn
 from sklearn_koopman.centers import SeparatedCenterSelector
 from sklearn_koopman.diagnostics._conditioning import (
     condition_number,
@@ -25,18 +25,18 @@ from sklearn_koopman.diagnostics._conditioning import (
     extreme_eigenvalues,
 )
 from sklearn_koopman.diagnostics._geometry import (
-    fill_and_separation,
     fill_distance,
     intrinsic_dimension,
+    measure,
     separation_distance,
 )
 from sklearn_koopman.diagnostics._rates import sobolev_rates
 from sklearn_koopman.kernels import as_kernel
 
-# Errors below this, relative to the outputs, are rounding rather than approximation;
-ROUNDING = 1e-12
-# and so are those below this that no longer fall.
-STALLING = 1e-8
+# Errors below this, relative to the outputs, are taken for rounding errors.
+ROUNDING_ERROR = 1e-12
+# So are errors below this that no longer fall from one fill distance to the next.
+STALLED_ERROR = 1e-8
 
 
 def convergence_study(
@@ -67,19 +67,20 @@ def convergence_study(
     y : array-like of shape (n_samples,) or (n_samples, n_outputs)
         Their outputs one step later.
     separations : array-like of shape (n_separations,)
-        The separations.
+        The separations: smallest distances that centres keep from each other, in the
+        units of the states that the kernel is applied to.
     X_test : array-like of shape (n_test, n_features)
-        States on the same manifold that are no centres.
+        States on the same manifold, other than centres.
     y_test : array-like of shape (n_test,) or (n_test, n_outputs)
         Their outputs.
     metric : {"euclidean", "geodesic"}, default="euclidean"
         Fill and separation distances through the space, or along the manifold (see
-        :func:`fill_distance`). For small ones the slopes are the same.
+        :func:`fill_distance`). For small distances the slopes are the same.
     dimension : float, default=None
-        Dimension of the manifold, for the guaranteed rate. None rounds that which
-        :func:`intrinsic_dimension` gives for `X` to a whole number.
+        Dimension of the manifold, for the guaranteed rate. None for the estimate of
+        :func:`intrinsic_dimension` for `X`, rounded to a whole number.
     confidence : float, default=0.95
-        Level of the intervals of the slopes.
+        The level of the confidence intervals of the slopes.
 
     Returns
     -------
@@ -88,36 +89,47 @@ def convergence_study(
 
         separation, n_centers, fill_distance, separation_distance, sup_error, \
 rms_error, condition_number : ndarray of shape (n_separations,)
-            The table, in the order of `separations`. Distances are in the units that
-            the kernel sees (behind the steps of a pipeline); the fill distance is that
-            with respect to all states given. Errors of several outputs are lengths of
-            vectors. The matrix is the one that is solved with, `alpha` included.
+            The table, in the order of `separations`. Distances are in the units of the
+            states that the kernel is applied to (behind the steps of a pipeline). The
+            fill distance is the one with respect to all states given. Errors of several
+            outputs are lengths of vectors, in the unit of the outputs. The condition
+            number is that of the matrix of the linear system, `alpha` included.
         used : ndarray of shape (n_separations,), bool
-            Which lines the slopes are fitted to: those with other centres than the
-            line before, no centre dropped for numerical dependence, and an error above
-            rounding. That is above 1e-12 of the outputs and, once below 1e-8 of them,
-            yet to fall to half of the least error so far.
+            Which lines the slopes are fitted to. A line is left out if it has the same
+            centres as the line before, if centres were dropped for numerical
+            dependence, or if its error is at the level of rounding: below 1e-12 of the
+            outputs, or below 1e-8 of them without any finer line that has half of the
+            smallest error so far.
         slope, rms_slope : float
-            Slopes of the logarithms of the errors over that of the fill distance, by
-            least squares; NaN from fewer than two lines.
+            Slopes of the logarithms of the errors over the logarithm of the fill
+            distance, by least squares; NaN from fewer than two lines.
         slope_interval, rms_slope_interval : ndarray of shape (2,)
-            Their intervals of confidence, for scatter about a straight line.
+            Their confidence intervals, for independent normal scatter about a straight
+            line; NaN from two lines.
         guaranteed_slope : float
-            The exponent of the sup error that :func:`sobolev_rates` guarantees; NaN
-            where it does not apply, which is also the case for least squares,
-            ``alpha > 0`` or a kernel with a noise term.
+            The exponent of the sup error that :func:`sobolev_rates` guarantees. NaN
+            where the theorem does not apply, and for least squares, ``alpha > 0`` or a
+            kernel with a noise term.
         rates : :class:`~sklearn.utils.Bunch`
-            All that :func:`sobolev_rates` says.
+            The result of :func:`sobolev_rates`.
         dimension, confidence : float
-            As used.
+            The dimension and the confidence that were used.
         kernel : str
-            The kernel.
+            The representation of the kernel.
 
     Raises
     ------
     ValueError
         If the estimator has no `centers` that separations apply to, or other
         parameters are out of range.
+
+    Warns
+    -----
+    UserWarning
+        As for :func:`fill_distance`, at most once.
+    Warning
+        Every warning of the fits, once, other than that centres were dropped, which
+        `used` shows.
 
     See Also
     --------
@@ -126,9 +138,11 @@ rms_error, condition_number : ndarray of shape (n_separations,)
 
     Notes
     -----
-    Take separations from a dozen centres on to as fine as the samples allow: the
-    asymptotic slope shows neither with centres farther apart than `beta`, nor with
-    nearly all samples as centres.
+    Choose separations that give from about 12 centres up to about half of the samples.
+    The asymptotic slope is not visible if the centres are farther apart than `beta`.
+
+    The cost is one fit for each separation, and the eigenvalues of its Gram matrix:
+    O(M^3) time and O(M^2) memory for M centres.
 
     Examples
     --------
@@ -155,63 +169,60 @@ rms_error, condition_number : ndarray of shape (n_separations,)
         )
     separations = check_positive(separations, "separations")
     _check_confidence(confidence)
-    parameter = _separation_parameter(estimator)
+    settings = _separation_setting(estimator)
     rates: Any = None
-    warned = False
+    centers: Any = None
+    warned: set[str] = set()
     lines: list[dict[str, Any]] = []
-    previous: Any = None
     for separation in separations:
-        model = clone(estimator).set_params(**parameter(separation))
+        model = clone(estimator).set_params(**settings(separation))
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             model.fit(X, y)
-        dropped = False
-        for warning in caught:
-            if issubclass(warning.category, LinAlgWarning):
-                dropped = True
-            else:
-                warnings.warn(warning.message, warning.category, stacklevel=2)
-        final, front = unwrap(model)
-        if not hasattr(final, "centers_"):
-            raise ValueError(
-                "estimator must be a KoopmanKernelRegressor, or a pipeline that ends "
-                f"in one, that is fitted to states and not to distances, got {final!r}."
-            )
-        error = _lengths(np.reshape(model.predict(X_test), truth.shape) - truth)
-        states, test = (np.asarray(transformed(front, x)) for x in (X, X_test))
-        if rates is None:  # what is wrong with them should not cost all fits
-            if dimension is None:
-                dimension = _whole_dimension(states)
-            rates = sobolev_rates(final.kernel_, states.shape[1], dimension)
-        exact = final.method == "interpolation"
-        centers, nugget = final.centers_, final.alpha if exact else 0.0
-        fill, apart, message = fill_and_separation(centers, states, test, metric)
-        if message and not warned:
-            warnings.warn(message, UserWarning, stacklevel=2)
-            warned = True
-        again = previous is not None and np.array_equal(previous, centers)
-        previous = centers
+            error = _lengths(np.reshape(model.predict(X_test), truth.shape) - truth)
+            final, front = unwrap(model)
+            if not hasattr(final, "centers_"):
+                raise ValueError(
+                    "estimator must be a KoopmanKernelRegressor, or a pipeline that "
+                    "ends in one, that is fitted to states and not to distances, got "
+                    f"{final!r}."
+                )
+            states, test = (np.asarray(transformed(front, x)) for x in (X, X_test))
+            if rates is None:  # a wrong dimension should not cost all fits
+                if dimension is None:
+                    dimension = _whole_dimension(states)
+                rates = sobolev_rates(final.kernel_, states.shape[1], dimension)
+            reference = np.vstack([states, test])
+            previous, centers = centers, final.centers_
+            distances = measure(centers, reference, metric, trajectory=states)
+        is_dropped = [issubclass(one.category, LinAlgWarning) for one in caught]
+        for one, silent in zip(caught, is_dropped, strict=True):
+            if not silent and str(one.message) not in warned:
+                warned.add(str(one.message))
+                warn(str(one.message), one.category)
+        is_exact = final.method == "interpolation"
+        nugget = final.alpha if is_exact else 0.0
         lines.append(
             {
                 "separation": separation,
                 "n_centers": len(centers),
-                "fill_distance": fill,
-                "separation_distance": apart,
+                "fill_distance": distances.fill_distance(),
+                "separation_distance": distances.separation_distance(),
                 "sup_error": float(error.max()),
                 "rms_error": float(np.sqrt(np.mean(error**2))),
                 "condition_number": condition_number(
                     final.kernel_, centers, alpha=nugget
                 ),
-                "used": not (dropped or again),
+                "used": not any(is_dropped)
+                and (previous is None or not np.array_equal(previous, centers)),
             }
         )
     table = {name: np.array([line[name] for line in lines]) for name in lines[0]}
     used = table["used"]
-    used &= _above_rounding(
-        table["fill_distance"], table["sup_error"], float(np.abs(truth).max())
-    )
+    size = float(np.abs(truth).max())
+    used &= above_rounding(table["fill_distance"], table["sup_error"], size)
     noisy = [isinstance(k, WhiteKernel) for k in final.kernel_.get_params().values()]
-    exact = exact and final.alpha == 0 and not any(noisy)
+    is_exact = is_exact and final.alpha == 0 and not any(noisy)
     fits: dict[str, Any] = {}
     for name, errors in (("slope", "sup_error"), ("rms_slope", "rms_error")):
         fits[name], fits[f"{name}_interval"] = _slope(
@@ -220,7 +231,7 @@ rms_error, condition_number : ndarray of shape (n_separations,)
     return Bunch(
         **table,
         **fits,
-        guaranteed_slope=rates.sup_exponent if exact else np.nan,
+        guaranteed_slope=rates.sup_exponent if is_exact else np.nan,
         rates=rates,
         dimension=dimension,
         confidence=confidence,
@@ -237,9 +248,10 @@ def conditioning_study(
     dimension: float | None = None,
     confidence: float = 0.95,
 ) -> Bunch:
-    """Measure what small separations cost in digits, for several kernels and scales.
+    """Measure the condition of Gram matrices for several kernels, scales, separations.
 
-    Centres are chosen by Algorithm 1 of [1]_ (whose Figures 5 and 6 these are).
+    Centres are chosen by Algorithm 1 of [1]_, one after the other in the order of the
+    samples. Figures 5 and 6 of [1]_ show such studies.
 
     Parameters
     ----------
@@ -250,12 +262,12 @@ def conditioning_study(
     X : array-like of shape (n_samples, n_features)
         The states to choose the centres from.
     separations : array-like of shape (n_separations,)
-        The separations.
+        The separations: smallest distances that centres keep from each other.
     dimension : float, default=None
-        Dimension of the manifold, for the expected slopes. None rounds that which
-        :func:`intrinsic_dimension` gives for `X` to a whole number.
+        Dimension of the manifold, for the expected slopes. None for the estimate of
+        :func:`intrinsic_dimension` for `X`, rounded to a whole number.
     confidence : float, default=0.95
-        Level of the intervals of the slopes.
+        The level of the confidence intervals of the slopes.
 
     Returns
     -------
@@ -263,26 +275,28 @@ def conditioning_study(
         With the attributes
 
         kernel : list of str
-            The kernels' names, or what they are.
+            The names of the kernels, or their representations.
         beta : ndarray of shape (n_betas,)
             The scales.
         separation, n_centers, fill_distance, separation_distance : ndarray of shape \
 (n_separations,)
-            The centres, in Euclidean distances.
+            The separations, and the numbers and Euclidean distances of the centres.
         condition_number, smallest_eigenvalue, digits_lost : ndarray of shape \
 (n_kernels, n_betas, n_separations)
-            Of the Gram matrices; see :func:`condition_number` for what is infinite.
+            Of the Gram matrices. A condition number is infinite if the smallest
+            eigenvalue is not above rounding error.
         slope : ndarray of shape (n_kernels, n_betas)
-            Slopes of the logarithm of the condition number over that of the
-            separation distance, from the finer half of the finite ones (three at
-            least), since the order shows only where balls of radius `beta` hold many
-            centres. NaN if there are fewer than three.
+            Slopes of the logarithm of the condition number over the logarithm of the
+            separation distance. They are fitted to the finer half of the finite
+            condition numbers (three at least), because the order shows only where
+            balls of radius `beta` hold many centres. NaN if there are fewer than three.
         slope_interval : ndarray of shape (n_kernels, n_betas, 2)
-            Their intervals of confidence, for scatter about a straight line.
+            Their confidence intervals, for independent normal scatter about a straight
+            line.
         expected_slope : ndarray of shape (n_kernels,)
             The order ``-2 s`` of quasi-uniform centres (:func:`sobolev_rates`).
         dimension, confidence : float
-            As used.
+            The dimension and the confidence that were used.
 
     Raises
     ------
@@ -294,10 +308,16 @@ def conditioning_study(
     crowding_study : Two centres close together, the others as they were.
     sklearn_koopman.plotting.ConditioningDisplay : Draws the study.
 
+    Notes
+    -----
+    The cost is that of the eigenvalues of one Gram matrix for each kernel, scale and
+    separation: O(M^3) time and O(M^2) memory for M centres.
+
     References
     ----------
-    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
-       of Animal Motions over Unknown Submanifolds", Section 4.1.
+    .. [1] N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+       for Estimation of Animal Motions over Unknown Submanifolds",
+       arXiv:2203.05646, 2022, Section 4.1.
 
     Examples
     --------
@@ -326,32 +346,23 @@ def conditioning_study(
         sobolev_rates(kernel, X.shape[1], dimension).condition_exponent
         for kernel in kernels
     ]
-    chosen = [X[sequential_centers(X, separation)] for separation in separations]
+    chosen, about = _choose(X, separations)
     q = np.array([separation_distance(centers) for centers in chosen])
-    shape = (len(kernels), len(betas), len(separations))
-    smallest, largest = np.empty(shape), np.empty(shape)
-    for i, kernel in enumerate(kernels):
-        for j, beta in enumerate(betas):
-            for k, centers in enumerate(chosen):
-                smallest[i, j, k], largest[i, j, k] = extreme_eigenvalues(
-                    kernel, centers, beta
-                )
-    condition = _ratio(largest, smallest)
-    slope, interval = np.empty(shape[:2]), np.empty((*shape[:2], 2))
-    for i in range(len(kernels)):
-        for j in range(len(betas)):
-            finite = np.flatnonzero(np.isfinite(condition[i, j]) & np.isfinite(q))
-            finite = finite[np.argsort(q[finite])]
-            finest = finite[: max(-(-len(finite) // 2), 3)]
-            slope[i, j], interval[i, j] = _slope(
-                q[finest], condition[i, j, finest], confidence, fewest=3
-            )
+    shape = (len(kernels), len(betas))
+    condition, smallest = np.empty((2, *shape, len(separations)))
+    slope, interval = np.empty(shape), np.empty((*shape, 2))
+    for i, j in np.ndindex(shape):
+        smallest[i, j], condition[i, j] = _conditions(kernels[i], betas[j], chosen)
+        finite = np.flatnonzero(np.isfinite(condition[i, j]) & np.isfinite(q))
+        finite = finite[np.argsort(q[finite])]
+        finest = finite[: max(-(-len(finite) // 2), 3)]
+        slope[i, j], interval[i, j] = _slope(
+            q[finest], condition[i, j, finest], confidence, fewest=3
+        )
     return Bunch(
         kernel=[k if isinstance(k, str) else repr(k) for k in kernels],
         beta=betas,
-        separation=separations,
-        n_centers=np.array([len(centers) for centers in chosen]),
-        fill_distance=np.array([fill_distance(centers, X) for centers in chosen]),
+        **about,
         separation_distance=q,
         condition_number=condition,
         smallest_eigenvalue=smallest,
@@ -372,12 +383,12 @@ def crowding_study(
     *,
     beta: float | None = None,
 ) -> Bunch:
-    """Measure what one pair of crowded centres costs, at a fixed fill distance.
+    """Measure the smallest eigenvalue of a Gram matrix with one pair of close centres.
 
-    To the centres chosen for a separation by Algorithm 1 of [1]_ one more is added, at
-    a small gap from the first centre towards the sample nearest to it. The fill
-    distance hardly changes; the smallest eigenvalue falls with the gap (Figure 7
-    of [1]_).
+    Centres are chosen for a separation by Algorithm 1 of [1]_. One more centre is
+    added, at a small gap from the first centre towards the sample nearest to it. The
+    fill distance hardly changes, while the smallest eigenvalue falls with the gap
+    (Figure 7 of [1]_).
 
     Parameters
     ----------
@@ -386,9 +397,10 @@ def crowding_study(
     X : array-like of shape (n_samples, n_features)
         The states to choose the centres from.
     separations : array-like of shape (n_separations,)
-        The separations, each of which gives a fill distance.
+        The separations of the other centres.
     gaps : array-like of shape (n_gaps,)
-        Distances of the additional centre from the first one.
+        Distances of the additional centre from the first one, in the unit of the
+        states.
     beta : float, default=None
         Scale of the kernel.
 
@@ -398,17 +410,18 @@ def crowding_study(
         With the attributes
 
         kernel : str
-            The kernel's name, or what it is.
+            The representation of the kernel.
         separation, n_centers, fill_distance : ndarray of shape (n_separations,)
-            Of the centres before one is added.
+            Of the centres without the additional one.
         gap : ndarray of shape (n_gaps,)
             The gaps.
         separation_distance, smallest_eigenvalue, condition_number : ndarray of shape \
 (n_separations, n_gaps)
             With the additional centre.
         slope : ndarray of shape (n_separations,)
-            Slopes of the logarithm of the smallest eigenvalue over that of the
-            separation distance, where the additional centre decides on it.
+            Slopes of the logarithm of the smallest eigenvalue over the logarithm of the
+            separation distance, as far as the close pair has the smallest distance of
+            all. NaN for fewer than two gaps.
 
     Raises
     ------
@@ -421,15 +434,17 @@ def crowding_study(
 
     Notes
     -----
-    The power 2 tau - d of the lower bound (:func:`smallest_eigenvalue`) is that of
-    many centres close together. A single pair at a distance r leaves at most the
-    eigenvalue 1 - phi(r), which falls like r for kernels that have a cusp, and like
-    r^2 for all that are smoother; the other centres lower it by a factor.
+    The power 2 tau - d of the lower bound (:func:`smallest_eigenvalue`) is attained by
+    many centres close together. For a single pair at a distance r the smallest
+    eigenvalue is at most 1 - phi(r), where phi is the profile of the kernel. That falls
+    like r for kernels with a cusp at zero, and like r^2 for all smoother ones. The
+    other centres lower it by a factor.
 
     References
     ----------
-    .. [1] Powell, Liu, Guo, Parachuri and Kurdila, "Koopman Methods for Estimation
-       of Animal Motions over Unknown Submanifolds", Section 4.1.
+    .. [1] N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+       for Estimation of Animal Motions over Unknown Submanifolds",
+       arXiv:2203.05646, 2022, Section 4.1.
 
     Examples
     --------
@@ -444,53 +459,55 @@ def crowding_study(
     array([1., 1.])
     """
     X = check_array(X, dtype=np.float64, input_name="X", ensure_min_samples=2)
-    separations, gaps = (
-        check_positive(separations, "separations"),
-        check_positive(gaps, "gaps"),
-    )
+    separations = check_positive(separations, "separations")
+    gaps = check_positive(gaps, "gaps")
     distances = _lengths(X - X[0])
     if not distances.any():
         raise ValueError("X holds a single state, so that there is no direction.")
     nearest = np.where(distances > 0, distances, np.inf).argmin()
     direction = (X[nearest] - X[0]) / distances[nearest]
+    chosen, about = _choose(X, separations)
     shape = (len(separations), len(gaps))
-    q, smallest, largest = np.empty(shape), np.empty(shape), np.empty(shape)
-    n_centers, fill = [], []
-    for i, separation in enumerate(separations):
-        centers = X[sequential_centers(X, separation)]
-        n_centers.append(len(centers))
-        fill.append(fill_distance(centers, X))
-        for j, gap in enumerate(gaps):
-            crowded = np.vstack([centers, X[0] + gap * direction])
-            q[i, j] = separation_distance(crowded)
-            smallest[i, j], largest[i, j] = extreme_eigenvalues(kernel, crowded, beta)
-    decisive = (smallest > 0) & np.isclose(q, gaps / 2, rtol=1e-6, atol=0)
-    slope = [
-        _slope(q_i[use], smallest_i[use], 0.95)[0]
-        for q_i, smallest_i, use in zip(q, smallest, decisive, strict=True)
-    ]
+    q, smallest, condition, slope = (*np.empty((3, *shape)), np.empty(shape[0]))
+    for i, centers in enumerate(chosen):
+        crowded = [np.vstack([centers, X[0] + gap * direction]) for gap in gaps]
+        q[i] = [separation_distance(points) for points in crowded]
+        smallest[i], condition[i] = _conditions(kernel, beta, crowded)
+        decisive = (smallest[i] > 0) & np.isclose(q[i], gaps / 2, rtol=1e-6, atol=0)
+        slope[i], _ = _slope(q[i, decisive], smallest[i, decisive], 0.95)
     return Bunch(
         kernel=repr(as_kernel(kernel, beta, X.shape[1])),
-        separation=separations,
-        n_centers=np.array(n_centers),
-        fill_distance=np.array(fill),
+        **about,
         gap=gaps,
         separation_distance=q,
         smallest_eigenvalue=smallest,
-        condition_number=_ratio(largest, smallest),
-        slope=np.array(slope),
+        condition_number=condition,
+        slope=slope,
     )
+
+
+def _choose(X: Array, separations: Array) -> tuple[list[Array], dict[str, Array]]:
+    """Choose centres for each separation, and describe them for a study."""
+    chosen = [X[sequential_centers(X, separation)] for separation in separations]
+    return chosen, {
+        "separation": separations,
+        "n_centers": np.array([len(centers) for centers in chosen]),
+        "fill_distance": np.array([fill_distance(centers, X) for centers in chosen]),
+    }
+
+
+def _conditions(kernel: Any, beta: Any, chosen: list[Array]) -> tuple[Array, Array]:
+    """Return smallest eigenvalues and condition numbers for several sets of centres."""
+    extremes = [extreme_eigenvalues(kernel, centers, beta) for centers in chosen]
+    smallest, largest = np.transpose(extremes)
+    infinite = np.full(len(chosen), np.inf)
+    return smallest, np.divide(largest, smallest, out=infinite, where=smallest > 0)
 
 
 def _check_confidence(confidence: Any) -> None:
     check_number(confidence, "confidence", positive=True)
     if confidence >= 1:
         raise ValueError(f"confidence must be below 1, got {confidence!r}.")
-
-
-def _ratio(largest: Array, smallest: Array) -> Array:
-    infinite = np.full(smallest.shape, np.inf)
-    return np.divide(largest, smallest, out=infinite, where=smallest > 0)
 
 
 def _whole_dimension(X: Array) -> int:
@@ -504,7 +521,7 @@ def _whole_dimension(X: Array) -> int:
 def _slope(
     x: Array, y: Array, confidence: float, fewest: int = 2
 ) -> tuple[float, Array]:
-    """Fit a straight line to logarithms; return its slope and the interval of it."""
+    """Fit a straight line to logarithms; return its slope and the slope's interval."""
     nothing = np.full(2, np.nan)
     if len(x) < fewest or np.ptp(x) == 0:
         return np.nan, nothing
@@ -515,28 +532,24 @@ def _slope(
     return float(line.slope), line.slope + width * np.array([-1.0, 1.0])
 
 
-def _separation_parameter(estimator: Any) -> Any:
+def _separation_setting(estimator: Any) -> Callable[[float], dict[str, Any]]:
     """Return the function from a separation to the parameters that set it."""
     if hasattr(estimator, "refit"):
         raise ValueError(
             "estimator must not be a search, which would choose anew for each "
             "separation; fit it first, and give its best_estimator_."
         )
-    parameters = estimator.get_params()
-    names = [
+    values = estimator.get_params()
+    nested = [name for name in values if f"__{name}".endswith("__centers__separation")]
+    unset = [
         name
-        for name in parameters
-        if name.split("__")[-2:] == ["centers", "separation"]
+        for name, value in values.items()
+        if f"__{name}".endswith("__centers") and value is None
     ]
-    if len(names) == 1:
-        return lambda separation: {names[0]: separation}
-    names = [
-        name
-        for name, value in parameters.items()
-        if name.split("__")[-1] == "centers" and value is None
-    ]
-    if len(names) == 1:
-        return lambda separation: {names[0]: SeparatedCenterSelector(separation)}
+    if len(nested) == 1:
+        return lambda separation: {nested[0]: separation}
+    if len(unset) == 1:
+        return lambda separation: {unset[0]: SeparatedCenterSelector(separation)}
     raise ValueError(
         "estimator must have one parameter `centers` that is None or a selector with "
         f"a parameter `separation`, got {estimator!r}."
@@ -554,12 +567,31 @@ def _lengths(vectors: Array) -> Array:
     return np.linalg.norm(vectors.reshape(len(vectors), -1), axis=1)
 
 
-def _above_rounding(h: Array, error: Array, size: float) -> NDArray[np.bool_]:
-    """Tell which errors are those of the approximation."""
+def above_rounding(h: Array, error: Array, size: float) -> Mask:
+    """Decide which errors are above the level of rounding.
+
+    Parameters
+    ----------
+    h : ndarray of shape (n_lines,)
+        The fill distances.
+    error : ndarray of shape (n_lines,)
+        The errors.
+    size : float
+        The size of the outputs.
+
+    Returns
+    -------
+    above : ndarray of shape (n_lines,), bool
+        False for errors below 1e-12 of the size, and for errors below 1e-8 of it if
+        neither they nor an error at a smaller fill distance are at most half of the
+        smallest error at the larger fill distances.
+    """
     order = np.argsort(-h, kind="stable")
-    sorted_ = error[order]
-    before = np.minimum.accumulate(np.append(np.inf, sorted_))[:-1]
-    yet_to_come = np.minimum.accumulate(sorted_[::-1])[::-1]
+    ordered = error[order]
+    smallest_before = np.minimum.accumulate(np.append(np.inf, ordered))[:-1]
+    smallest_from_here = np.minimum.accumulate(ordered[::-1])[::-1]
     stalled = np.empty(len(h), dtype=bool)
-    stalled[order] = (sorted_ < STALLING * size) & (yet_to_come > before / 2)
-    return (error > ROUNDING * size) & ~stalled
+    stalled[order] = (ordered < STALLED_ERROR * size) & (
+        smallest_from_here > smallest_before / 2
+    )
+    return (error > ROUNDING_ERROR * size) & ~stalled

@@ -1,7 +1,7 @@
 """Displays of estimates, studies, centres, forecasts and spectra.
 
-Every display computes in a class method such as `from_estimator`, stores what it found,
-and draws it in `plot`, on given axes or a figure of its own. Only drawing needs
+Every display computes in a class method such as `from_estimator`, stores the results,
+and draws them in `plot`, on given axes or in a new figure. Only drawing needs
 matplotlib: ``pip install "sklearn-koopman[plot]"``.
 """
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,20 +13,23 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_koopman._utils._pipeline import unwrap
 from sklearn_koopman._utils._typing import Array
 from sklearn_koopman.diagnostics import fill_distance, separation_distance
-from sklearn_koopman.plotting._inputs import (
-    known_centers,
-    names_of_features,
+from sklearn_koopman.plotting._display import (
+    BLUE,
+    Display,
+    Keywords,
+    merge_style,
 )
-from sklearn_koopman.plotting._style import BLUE, axes_for, line_style, merged
+from sklearn_koopman.plotting._inputs import find_centers, resolve_names
 
-__all__ = ["CenterSelectionDisplay"]
+# Up to this many samples matplotlib looks for the best place of the legend.
+MAX_SAMPLES_TO_AVOID = 2000
 
 
-class CenterSelectionDisplay:
-    """Samples, the centres among them, and the distance that centres keep.
+@dataclass(kw_only=True, eq=False, repr=False)
+class CenterSelectionDisplay(Display):  # numpydoc ignore=PR02
+    """Samples, the centres among them, and the separation of the centres.
 
-    It is recommended to create it by :meth:`from_estimator`. All parameters are stored
-    as attributes.
+    Create a display by :meth:`from_estimator`. All parameters are stored as attributes.
 
     Parameters
     ----------
@@ -34,9 +38,10 @@ class CenterSelectionDisplay:
     centers : ndarray of shape (n_centers, n_features)
         The centres.
     separation : float, default=None
-        Radius of the circles: no centre lies in the circle of another. None or 0 for
-        none. With more than two features none are drawn, either, since points inside
-        of a circle would not be near its centre.
+        The distance that centres keep from each other, drawn as the radius of circles:
+        no centre lies in the circle of another one. None or 0 for no circles. With more
+        than two features no circles are drawn either, because samples inside of a
+        circle need not be near its centre.
     separation_distance : float, default=None
         Half the smallest distance of two centres.
     fill_distance : float, default=None
@@ -57,12 +62,12 @@ class CenterSelectionDisplay:
     ax_ : matplotlib Axes
         The axes.
     figure_ : matplotlib Figure
-        The figure that they are in.
+        The figure of the axes.
 
     See Also
     --------
     sklearn_koopman.SeparatedCenterSelector : Selects centres.
-    SurfaceDisplay : What is estimated from them.
+    SurfaceDisplay : The function that is estimated from the centres.
 
     Examples
     --------
@@ -82,24 +87,13 @@ class CenterSelectionDisplay:
     >>> plt.close(display.figure_)
     """
 
-    def __init__(
-        self,
-        *,
-        samples: Array,
-        centers: Array,
-        separation: float | None = None,
-        separation_distance: float | None = None,
-        fill_distance: float | None = None,
-        features: Sequence[int] = (0, 1),
-        feature_names: Sequence[str] | None = None,
-    ) -> None:
-        self.samples = samples
-        self.centers = centers
-        self.separation = separation
-        self.separation_distance = separation_distance
-        self.fill_distance = fill_distance
-        self.features = features
-        self.feature_names = feature_names
+    samples: Array
+    centers: Array
+    separation: float | None = None
+    separation_distance: float | None = None
+    fill_distance: float | None = None
+    features: Sequence[int] = (0, 1)
+    feature_names: Sequence[str] | None = None
 
     @classmethod
     def from_estimator(
@@ -110,9 +104,7 @@ class CenterSelectionDisplay:
         features: Sequence[int] = (0, 1),
         feature_names: Sequence[str] | None = None,
         ax: Any = None,
-        sample_kw: Mapping[str, Any] | None = None,
-        center_kw: Mapping[str, Any] | None = None,
-        circle_kw: Mapping[str, Any] | None = None,
+        **artist_kw: Any,
     ) -> CenterSelectionDisplay:
         """Plot the centres of a fitted selector or model.
 
@@ -127,13 +119,11 @@ class CenterSelectionDisplay:
         features : tuple of two int, default=(0, 1)
             The features on the axes.
         feature_names : sequence of str, default=None
-            Names of all features, with their units. By default those seen by `fit`.
+            Names of all features, with their units. None for the names seen by `fit`.
         ax : matplotlib Axes, default=None
             The axes to draw on. None for those of a new figure.
-        sample_kw, center_kw : dict, default=None
-            Keyword arguments for the lines of samples and centres.
-        circle_kw : dict, default=None
-            Keyword arguments for the collection of circles.
+        **artist_kw : dict
+            The parameters `sample_kw`, `center_kw` and `circle_kw` of :meth:`plot`.
 
         Returns
         -------
@@ -150,44 +140,42 @@ class CenterSelectionDisplay:
         final, scaler = unwrap(estimator)
         if scaler is not None:
             raise ValueError(
-                "estimator is a Pipeline, whose centres live on another scale than X; "
+                "estimator is a Pipeline, whose centres are on another scale than X; "
                 "pass estimator[-1] and estimator[:-1].transform(X)."
             )
-        centers = known_centers(final)
+        centers = find_centers(final)
         if centers is None:
             raise ValueError(
                 f"estimator={final!r} has no centres that are states; pass a fitted "
                 "SeparatedCenterSelector, or a model fitted to the states."
             )
-        given = X
-        X = check_array(X, dtype=np.float64, input_name="X")
-        if X.shape[1] != centers.shape[1]:
+        samples = check_array(X, dtype=np.float64, input_name="X")
+        if samples.shape[1] != centers.shape[1]:
             raise ValueError(
-                f"X has {X.shape[1]} features, but the centres have "
+                f"X has {samples.shape[1]} features, but the centres have "
                 f"{centers.shape[1]}; pass the states that the estimator was fitted to."
             )
-        names = names_of_features(final, given, feature_names)
-        _check_features(features, X.shape[1])
+        _check_features(features, samples.shape[1])
         selector = (
             final if hasattr(final, "separation") else final.get_params().get("centers")
         )
         return cls(
-            samples=X,
+            samples=samples,
             centers=centers,
             separation=getattr(selector, "separation", None),
             separation_distance=separation_distance(centers),
-            fill_distance=fill_distance(centers, X),
+            fill_distance=fill_distance(centers, samples),
             features=features,
-            feature_names=names,
-        ).plot(ax, sample_kw=sample_kw, center_kw=center_kw, circle_kw=circle_kw)
+            feature_names=resolve_names(final, X, feature_names),
+        ).plot(ax, **artist_kw)
 
     def plot(
         self,
         ax: Any = None,
         *,
-        sample_kw: Mapping[str, Any] | None = None,
-        center_kw: Mapping[str, Any] | None = None,
-        circle_kw: Mapping[str, Any] | None = None,
+        sample_kw: Keywords = None,
+        center_kw: Keywords = None,
+        circle_kw: Keywords = None,
     ) -> CenterSelectionDisplay:
         """Draw samples, centres and circles.
 
@@ -205,82 +193,63 @@ class CenterSelectionDisplay:
         display : CenterSelectionDisplay
             The display itself.
         """
-        ax = axes_for(ax)
+        ax = self._set_axes(ax)
         from matplotlib.collections import PatchCollection
         from matplotlib.lines import Line2D
         from matplotlib.patches import Circle
 
         columns = list(self.features)
         centers = self.centers[:, columns]
+        n_samples, n_centers = len(self.samples), len(centers)
         # Thousands of points leave no room for large dots.
-        size = float(np.clip(60 / np.sqrt(len(centers)), 2, 5.5))
-        sample_size = float(np.clip(100 / np.sqrt(len(self.samples)), 1, 3))
-        dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "label": "samples"}
+        size = float(np.clip(60 / np.sqrt(n_centers), 2, 5.5))
+        sample_size = float(np.clip(100 / np.sqrt(n_samples), 1, 3))
+        dots: dict[str, Any] = {"linestyle": "none", "marker": "o"}
+        style: dict[str, Any]
+        style = {"color": "0.7", "markersize": sample_size, "label": "samples"}
         (self.samples_,) = ax.plot(
-            *self.samples[:, columns].T,
-            **line_style(dots | {"color": "0.7", "markersize": sample_size}, sample_kw),
+            *self.samples[:, columns].T, **merge_style(dots | style, sample_kw)
         )
-        dots["label"] = "centres"
-        (self.centers_,) = ax.plot(
-            *centers.T,
-            **line_style(dots | {"color": BLUE, "markersize": size}, center_kw),
-        )
+        style = {"color": BLUE, "markersize": size, "label": "centres"}
+        (self.centers_,) = ax.plot(*centers.T, **merge_style(dots | style, center_kw))
         handles = [self.samples_, self.centers_]
         self.circles_ = None
-        if self.separation and self.centers.shape[1] == 2:
-            defaults = {
-                "facecolor": "none",
-                "edgecolor": BLUE,
-                "linewidth": size / 8,
-                "alpha": 0.6,
-                "zorder": 1.5,
-            }
-            circles: Any = PatchCollection(
+        is_plane = self.centers.shape[1] == 2
+        if self.separation and is_plane:
+            style = {"facecolor": "none", "edgecolor": BLUE, "linewidth": size / 8}
+            self.circles_ = PatchCollection(
                 [Circle((x, y), self.separation) for x, y in centers],
-                **merged("collections.PatchCollection", defaults, circle_kw),
+                **merge_style(
+                    style | {"alpha": 0.6, "zorder": 1.5}, circle_kw, collection=True
+                ),
             )
-            ax.add_collection(circles)
-            self.circles_ = circles
+            ax.add_collection(self.circles_)
             # A collection of patches has no entry in a legend of its own.
-            handles.append(
-                Line2D(
-                    *([], []),
-                    linestyle="none",
-                    marker="o",
-                    markersize=9,
-                    markerfacecolor="none",
-                    markeredgecolor=circles.get_edgecolor()[0],
-                    label=f"separation {self.separation:.3g}",
-                )
-            )
-        if self.centers.shape[1] == 2:
+            style = {"markersize": 9, "markerfacecolor": "none"}
+            style["markeredgecolor"] = self.circles_.get_edgecolor()[0]
+            label = f"separation {self.separation:.3g}"
+            handles.append(Line2D([], [], label=label, **dots, **style))
+        if is_plane:
             ax.set_aspect("equal", adjustable="datalim")
         names = self.feature_names or [f"x{i}" for i in range(self.centers.shape[1])]
-        title = f"{len(centers)} centres of {len(self.samples)} samples"
-        found = {
+        distances = {
             "separation distance": self.separation_distance,
             "fill distance": self.fill_distance,
         }
-        details = [f"{k} {v:.3g}" for k, v in found.items() if v is not None]
-        if details:
-            title += "\n" + ", ".join(details)
+        details = [f"{k} {v:.3g}" for k, v in distances.items() if v is not None]
+        title = f"{n_centers} centres of {n_samples} samples"
+        title += "\n" * bool(details) + ", ".join(details)
         ax.set(xlabel=names[columns[0]], ylabel=names[columns[1]], title=title)
-        # To look for the best place takes long among many points.
-        few = len(self.samples) <= 2000
-        ax.legend(handles=handles, loc="best" if few else "upper right")
-        self.ax_ = ax
-        self.figure_ = ax.figure
+        is_quick = n_samples <= MAX_SAMPLES_TO_AVOID
+        ax.legend(handles=handles, loc="best" if is_quick else "upper right")
         return self
 
 
 def _check_features(features: Any, n_features: int) -> None:
     """Refuse anything but two different numbers of features."""
-    try:
-        pair = [int(i) for i in features]
-        fine = pair == list(features) and len(set(pair)) == len(pair) == 2
-    except (TypeError, ValueError):
-        fine = False
-    if not fine or min(pair) < 0 or max(pair) >= n_features:
+    known = range(n_features)
+    is_list = np.ndim(features) == 1 and len(features) == 2
+    if not is_list or {*features} - {*known} or features[0] == features[1]:
         raise ValueError(
             f"features must be two different columns of X, from 0 to "
             f"{n_features - 1}, got {features!r}."

@@ -3,49 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sklearn_koopman._utils._typing import Array
-from sklearn_koopman.plotting._inputs import check_choice, check_study, kernel_name
-from sklearn_koopman.plotting._style import (
-    axes_for,
-    drawable,
-    finish_curves,
-    line_style,
-    next_style,
+from sklearn_koopman._utils._validation import check_choice
+from sklearn_koopman.diagnostics import conditioning_study
+from sklearn_koopman.plotting._display import (
+    CurveDisplay,
+    Keywords,
+    merge_style,
     slope_text,
     with_unit,
 )
+from sklearn_koopman.plotting._inputs import check_study, kernel_name
 
-__all__ = ["ConditioningDisplay"]
-
-
-CONDITIONS = {
+QUANTITIES = {
     "condition_number": "condition number",
     "smallest_eigenvalue": "smallest eigenvalue",
 }
 ALL_LOST = "all 16 digits lost"
 
 
-class ConditioningDisplay:
+@dataclass(kw_only=True, eq=False, repr=False)
+class ConditioningDisplay(CurveDisplay):  # numpydoc ignore=PR02
     """Condition of Gram matrices against the separation distance of their centres.
 
-    It is recommended to create it by :meth:`from_study` or :meth:`from_kernels`. All
-    parameters are stored as attributes.
+    The Gram matrix holds the kernel of all pairs of centres. The separation distance
+    is half the smallest distance of two centres.
+
+    Create a display by :meth:`from_study` or :meth:`from_kernels`. All parameters are
+    stored as attributes.
 
     Parameters
     ----------
     separation_distance : ndarray of shape (n_curves, n_points)
-        Half the smallest distances of two centres.
+        The separation distances, in the unit of the states.
     values : ndarray of shape (n_curves, n_points)
-        Condition numbers or smallest eigenvalues. Those which are not finite, or not
-        positive, are left out.
+        Condition numbers or smallest eigenvalues. Values that are not finite, or not
+        positive, are not drawn.
     labels : sequence of str
-        What the curves are.
+        The names of the curves in the legend.
     quantity : {"condition_number", "smallest_eigenvalue"}, default="condition_number"
-        Which of them.
+        Which of the two `values` are.
     legend_title : str, default=None
         What all curves have in common.
     state_unit : str, default=None
@@ -56,12 +58,12 @@ class ConditioningDisplay:
     lines_ : list of matplotlib Line2D
         The curves.
     lost_ : matplotlib Line2D or None
-        Where a condition number reaches the reciprocal of the relative rounding error,
-        if there are such, or nearly.
+        The condition number at which double precision leaves no digit. It is drawn if
+        a condition number comes within a factor of 1000 of it.
     ax_ : matplotlib Axes
         The axes.
     figure_ : matplotlib Figure
-        The figure that they are in.
+        The figure of the axes.
 
     See Also
     --------
@@ -85,22 +87,12 @@ class ConditioningDisplay:
     >>> plt.close(display.figure_)
     """
 
-    def __init__(
-        self,
-        *,
-        separation_distance: Array,
-        values: Array,
-        labels: Sequence[str],
-        quantity: str = "condition_number",
-        legend_title: str | None = None,
-        state_unit: str | None = None,
-    ) -> None:
-        self.separation_distance = separation_distance
-        self.values = values
-        self.labels = labels
-        self.quantity = quantity
-        self.legend_title = legend_title
-        self.state_unit = state_unit
+    separation_distance: Array
+    values: Array
+    labels: Sequence[str]
+    quantity: str = "condition_number"
+    legend_title: str | None = None
+    state_unit: str | None = None
 
     @classmethod
     def from_study(
@@ -110,16 +102,15 @@ class ConditioningDisplay:
         quantity: str | None = None,
         state_unit: str | None = None,
         ax: Any = None,
-        line_kw: Mapping[str, Any] | None = None,
-        lost_kw: Mapping[str, Any] | None = None,
+        **artist_kw: Any,
     ) -> ConditioningDisplay:
         """Plot a study of conditioning or of crowding.
 
         Parameters
         ----------
         study : :class:`~sklearn.utils.Bunch`
-            What :func:`sklearn_koopman.diagnostics.conditioning_study` or
-            :func:`sklearn_koopman.diagnostics.crowding_study` returned.
+            The result of :func:`sklearn_koopman.diagnostics.conditioning_study` or
+            :func:`sklearn_koopman.diagnostics.crowding_study`.
         quantity : {"condition_number", "smallest_eigenvalue"}, default=None
             What to show. None for the condition number, and for the smallest eigenvalue
             of a study of crowding.
@@ -127,8 +118,8 @@ class ConditioningDisplay:
             Unit for the label of the axis.
         ax : matplotlib Axes, default=None
             The axes to draw on. None for those of a new figure.
-        line_kw, lost_kw : dict, default=None
-            Keyword arguments for the curves, and for the line of no digits.
+        **artist_kw : dict
+            The parameters `line_kw` and `lost_kw` of :meth:`plot`.
 
         Returns
         -------
@@ -140,32 +131,31 @@ class ConditioningDisplay:
         ValueError
             If `study` is neither, or there is no such `quantity`.
         """
-        check_study(
-            study, "conditioning_study or crowding_study", "smallest_eigenvalue"
-        )
+        name = "conditioning_study or crowding_study"
+        check_study(study, name, "smallest_eigenvalue")
         crowding = "gap" in study
         if quantity is None:
             quantity = "smallest_eigenvalue" if crowding else "condition_number"
-        check_choice(quantity, "quantity", CONDITIONS)
+        check_choice(quantity, "quantity", QUANTITIES)
         values = np.asarray(study[quantity])
         values = values.reshape(-1, values.shape[-1])
+        title: str | None = None
         if crowding:
-            title: str | None = kernel_name(study["kernel"])
+            title = kernel_name(study["kernel"])
             labels = [
                 f"M = {n}, fill distance {h:.2g}"
                 for n, h in zip(study["n_centers"], study["fill_distance"], strict=True)
             ]
         else:
-            slopes = quantity == "condition_number"
-            title = None
-            if slopes:
-                title = f"slope ± {study.get('confidence', 0.95):.0%} interval"
             labels = [
                 f"{kernel_name(kernel)}, β = {beta:g}"
-                + f": {_observed_and_expected(study, i, j)}" * slopes
-                for i, kernel in enumerate(study["kernel"])
-                for j, beta in enumerate(study["beta"])
+                for kernel in study["kernel"]
+                for beta in study["beta"]
             ]
+            if quantity == "condition_number":
+                title = f"slope ± {study.get('confidence', 0.95):.0%} interval"
+                cells = zip(labels, np.ndindex(*study["slope"].shape), strict=True)
+                labels = [f"{label}: {_slopes(study, *ij)}" for label, ij in cells]
         return cls(
             separation_distance=np.broadcast_to(
                 study["separation_distance"], values.shape
@@ -175,7 +165,7 @@ class ConditioningDisplay:
             quantity=quantity,
             legend_title=title,
             state_unit=state_unit,
-        ).plot(ax, line_kw=line_kw, lost_kw=lost_kw)
+        ).plot(ax, **artist_kw)
 
     @classmethod
     def from_kernels(
@@ -185,7 +175,7 @@ class ConditioningDisplay:
         X: Any,
         separations: Any,
         *,
-        dimension: int | None = None,
+        dimension: float | None = None,
         confidence: float = 0.95,
         **display_kw: Any,
     ) -> ConditioningDisplay:
@@ -195,31 +185,30 @@ class ConditioningDisplay:
         ----------
         kernels, betas, X, separations : array-like
             As for :func:`sklearn_koopman.diagnostics.conditioning_study`.
-        dimension : int, default=None
+        dimension : float, default=None
             Dimension of the manifold; None to estimate it.
         confidence : float, default=0.95
-            That of the interval of the slopes.
+            The level of the confidence intervals of the slopes.
         **display_kw : dict
-            What :meth:`from_study` takes.
+            Further parameters of :meth:`from_study`.
 
         Returns
         -------
         display : ConditioningDisplay
             The display.
-        """
-        from sklearn_koopman.diagnostics import conditioning_study
 
+        Raises
+        ------
+        ValueError
+            As :func:`sklearn_koopman.diagnostics.conditioning_study`.
+        """
         study = conditioning_study(
             kernels, betas, X, separations, dimension=dimension, confidence=confidence
         )
         return cls.from_study(study, **display_kw)
 
     def plot(
-        self,
-        ax: Any = None,
-        *,
-        line_kw: Mapping[str, Any] | None = None,
-        lost_kw: Mapping[str, Any] | None = None,
+        self, ax: Any = None, *, line_kw: Keywords = None, lost_kw: Keywords = None
     ) -> ConditioningDisplay:
         """Draw the curves.
 
@@ -228,46 +217,34 @@ class ConditioningDisplay:
         ax : matplotlib Axes, default=None
             The axes to draw on. None for those of a new figure.
         line_kw, lost_kw : dict, default=None
-            Keyword arguments for the curves, and for the line of no digits.
+            Keyword arguments for the curves, and for the line where no digit is left.
 
         Returns
         -------
         display : ConditioningDisplay
             The display itself.
         """
-        check_choice(self.quantity, "quantity", CONDITIONS)
-        ax = axes_for(ax)
-        self.lines_ = []
-        for q, values, label in zip(
-            self.separation_distance, self.values, self.labels, strict=True
-        ):
-            _, color, marker = next_style(ax, [ALL_LOST])
-            order = np.argsort(q, kind="stable")
-            order = order[drawable(q, values)[order]]
-            style = {"color": color, "marker": marker, "markersize": 5}
-            style |= {"linewidth": 1.2, "label": label}
-            self.lines_ += ax.loglog(
-                q[order], values[order], **line_style(style, line_kw)
-            )
+        check_choice(self.quantity, "quantity", QUANTITIES)
+        ax = self._set_axes(ax)
+        curves = zip(self.separation_distance, self.values, self.labels, strict=True)
+        self.lines_ = [
+            self._draw_curve(q, y, self._next_style(label, line_kw, [ALL_LOST]))
+            for q, y, label in curves
+        ]
         self.lost_ = None
         limit = 1 / np.finfo(np.float64).eps
         if self.quantity == "condition_number" and np.max(self.values) > limit / 1e3:
             drawn = [line for line in ax.lines if line.get_label() == ALL_LOST]
             style = {"color": "0.3", "linestyle": ":", "linewidth": 1}
-            style = line_style(style | {"label": ALL_LOST}, lost_kw)
+            style = merge_style({**style, "label": ALL_LOST}, lost_kw)
             self.lost_ = drawn[0] if drawn else ax.axhline(limit, **style)
-        ax.set(
-            xlabel=with_unit("separation distance", self.state_unit),
-            ylabel=CONDITIONS[self.quantity],
-        )
-        finish_curves(ax, self.legend_title)
-        self.ax_ = ax
-        self.figure_ = ax.figure
+        xlabel = with_unit("separation distance", self.state_unit)
+        self._finish(self.legend_title, xlabel, QUANTITIES[self.quantity])
         return self
 
 
-def _observed_and_expected(study: Mapping[str, Any], i: int, j: int) -> str:
-    """Write the slope of a condition number beside the one to be expected."""
+def _slopes(study: Mapping[str, Any], i: int, j: int) -> str:
+    """Write the slope of a condition number beside the expected one."""
     slope = slope_text(study["slope"][i][j], study["slope_interval"][i][j])
     expected = study["expected_slope"][i]
     if np.isnan(expected):

@@ -3,63 +3,64 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman.plotting._inputs import check_choice, check_study, kernel_name
-from sklearn_koopman.plotting._style import (
-    axes_for,
-    drawable,
-    finish_curves,
-    line_style,
-    next_style,
+from sklearn_koopman._utils._typing import Array, Mask
+from sklearn_koopman._utils._validation import check_choice
+from sklearn_koopman.diagnostics import convergence_study
+from sklearn_koopman.plotting._display import (
+    CurveDisplay,
+    Keywords,
+    merge_style,
     slope_text,
     with_unit,
 )
-
-__all__ = ["ConvergenceDisplay"]
-
+from sklearn_koopman.plotting._inputs import check_study, kernel_name
 
 ERRORS = {"sup_error": "largest error", "rms_error": "root mean square error"}
-ABOVE = 1.5  # the guarantee is drawn this many times above the errors
+# The guaranteed slope is drawn above the errors, at this multiple of the nearest one.
+HEIGHT = 1.5
 
 
-class ConvergenceDisplay:
+@dataclass(kw_only=True, eq=False, repr=False)
+class ConvergenceDisplay(CurveDisplay):  # numpydoc ignore=PR02
     """Error of an estimate against the fill distance of its centres.
 
-    On logarithmic axes the order of convergence is a slope. The dashed line has the
-    slope that theory guarantees for the kernel, and lies a little above the errors: the
-    theory tells its slope, not its height. Hollow points are not in the fit, mostly as
-    they are at the level of rounding errors.
+    The fill distance is the largest distance of a sample from its nearest centre. On
+    logarithmic axes the order of convergence is a slope. The dashed line has the slope
+    that theory guarantees for the kernel. The theory gives no height, so the line is
+    drawn a little above the errors. Hollow points are left out of the fit, in most
+    cases because they are at the level of rounding errors.
 
-    It is recommended to create it by :meth:`from_study` or :meth:`from_estimator`. All
-    parameters are stored as attributes. Several displays on the same axes get colours
-    and markers of their own.
+    Create a display by :meth:`from_study` or :meth:`from_estimator`. All parameters are
+    stored as attributes. Several displays on the same axes get different colours and
+    markers.
 
     Parameters
     ----------
     fill_distance : ndarray of shape (n_separations,)
-        The fill distances.
+        The fill distances, in the unit of the states.
     error : ndarray of shape (n_separations,)
-        The errors. Those which are zero or not finite are not drawn.
+        The errors, in the unit of the outputs. Errors that are zero or not finite are
+        not drawn.
     used : ndarray of shape (n_separations,), default=None
-        Whether each is in the fit of the slope. None for all.
+        Whether the slope is fitted to each error. None for all.
     slope : float, default=nan
         The slope of log `error` against log `fill_distance`.
     slope_interval : tuple of two float, default=(nan, nan)
-        Its confidence interval.
+        The confidence interval of the slope.
     guaranteed_slope : float, default=nan
         The order that theory guarantees: infinite if the error falls faster than any
-        power, NaN if it guarantees nothing.
+        power, NaN if nothing is guaranteed.
     confidence : float, default=0.95
-        That of the interval.
+        The level of the confidence interval.
     quantity : {"sup_error", "rms_error"}, default="sup_error"
-        Which error it is.
+        Whether the error is the largest one or the root mean square.
     name : str, default=None
-        What it is the error of.
+        The name of the curve in the legend.
     state_unit, output_unit : str, default=None
         Units for the labels of the axes.
 
@@ -68,13 +69,13 @@ class ConvergenceDisplay:
     line_ : matplotlib Line2D
         The errors that the slope is fitted to.
     unused_ : matplotlib Line2D or None
-        The others, hollow.
+        The other errors, hollow.
     bound_ : matplotlib Line2D or None
         The guaranteed slope, dashed.
     ax_ : matplotlib Axes
         The axes.
     figure_ : matplotlib Figure
-        The figure that they are in.
+        The figure of the axes.
 
     See Also
     --------
@@ -97,32 +98,17 @@ class ConvergenceDisplay:
     >>> plt.close(display.figure_)
     """
 
-    def __init__(
-        self,
-        *,
-        fill_distance: Array,
-        error: Array,
-        used: NDArray[np.bool_] | None = None,
-        slope: float = np.nan,
-        slope_interval: Sequence[float] = (np.nan, np.nan),
-        guaranteed_slope: float = np.nan,
-        confidence: float = 0.95,
-        quantity: str = "sup_error",
-        name: str | None = None,
-        state_unit: str | None = None,
-        output_unit: str | None = None,
-    ) -> None:
-        self.fill_distance = fill_distance
-        self.error = error
-        self.used = used
-        self.slope = slope
-        self.slope_interval = slope_interval
-        self.guaranteed_slope = guaranteed_slope
-        self.confidence = confidence
-        self.quantity = quantity
-        self.name = name
-        self.state_unit = state_unit
-        self.output_unit = output_unit
+    fill_distance: Array
+    error: Array
+    used: Mask | None = None
+    slope: float = np.nan
+    slope_interval: Sequence[float] = (np.nan, np.nan)
+    guaranteed_slope: float = np.nan
+    confidence: float = 0.95
+    quantity: str = "sup_error"
+    name: str | None = None
+    state_unit: str | None = None
+    output_unit: str | None = None
 
     @classmethod
     def from_study(
@@ -134,25 +120,24 @@ class ConvergenceDisplay:
         state_unit: str | None = None,
         output_unit: str | None = None,
         ax: Any = None,
-        line_kw: Mapping[str, Any] | None = None,
-        bound_kw: Mapping[str, Any] | None = None,
+        **artist_kw: Any,
     ) -> ConvergenceDisplay:
         """Plot a convergence study.
 
         Parameters
         ----------
         study : :class:`~sklearn.utils.Bunch`
-            What :func:`sklearn_koopman.diagnostics.convergence_study` returned.
+            The result of :func:`sklearn_koopman.diagnostics.convergence_study`.
         quantity : {"sup_error", "rms_error"}, default="sup_error"
             Which error to show.
         name : str, default=None
-            What to call it in the legend. None for the kernel.
+            The name of the curve in the legend. None for the name of the kernel.
         state_unit, output_unit : str, default=None
             Units for the labels of the axes.
         ax : matplotlib Axes, default=None
             The axes to draw on. None for those of a new figure.
-        line_kw, bound_kw : dict, default=None
-            Keyword arguments for the lines of the errors and of the guarantee.
+        **artist_kw : dict
+            The parameters `line_kw` and `bound_kw` of :meth:`plot`.
 
         Returns
         -------
@@ -166,23 +151,23 @@ class ConvergenceDisplay:
         """
         check_choice(quantity, "quantity", ERRORS)
         check_study(study, "convergence_study", "sup_error")
-        sup = quantity == "sup_error"
+        prefix = "" if quantity == "sup_error" else "rms_"
         guaranteed = study["guaranteed_slope"]
-        if not sup and not np.isnan(guaranteed):
+        if prefix and not np.isnan(guaranteed):
             guaranteed = study["rates"]["rms_exponent"]
         return cls(
             fill_distance=study["fill_distance"],
             error=study[quantity],
             used=study["used"],
-            slope=study["slope" if sup else "rms_slope"],
-            slope_interval=study["slope_interval" if sup else "rms_slope_interval"],
+            slope=study[f"{prefix}slope"],
+            slope_interval=study[f"{prefix}slope_interval"],
             guaranteed_slope=guaranteed,
             confidence=study["confidence"],
             quantity=quantity,
             name=kernel_name(study["kernel"]) if name is None else name,
             state_unit=state_unit,
             output_unit=output_unit,
-        ).plot(ax, line_kw=line_kw, bound_kw=bound_kw)
+        ).plot(ax, **artist_kw)
 
     @classmethod
     def from_estimator(
@@ -194,7 +179,7 @@ class ConvergenceDisplay:
         X_test: Any,
         y_test: Any,
         *,
-        dimension: int | None = None,
+        dimension: float | None = None,
         confidence: float = 0.95,
         **display_kw: Any,
     ) -> ConvergenceDisplay:
@@ -206,20 +191,23 @@ class ConvergenceDisplay:
             The model to fit at every separation.
         X, y, separations, X_test, y_test : array-like
             As for :func:`sklearn_koopman.diagnostics.convergence_study`.
-        dimension : int, default=None
+        dimension : float, default=None
             Dimension of the manifold; None to estimate it.
         confidence : float, default=0.95
-            That of the interval of the slope.
+            The level of the confidence interval of the slope.
         **display_kw : dict
-            What :meth:`from_study` takes.
+            Further parameters of :meth:`from_study`.
 
         Returns
         -------
         display : ConvergenceDisplay
             The display.
-        """
-        from sklearn_koopman.diagnostics import convergence_study
 
+        Raises
+        ------
+        ValueError
+            As :func:`sklearn_koopman.diagnostics.convergence_study`.
+        """
         study = convergence_study(
             estimator,
             *(X, y, separations, X_test, y_test),
@@ -229,11 +217,7 @@ class ConvergenceDisplay:
         return cls.from_study(study, **display_kw)
 
     def plot(
-        self,
-        ax: Any = None,
-        *,
-        line_kw: Mapping[str, Any] | None = None,
-        bound_kw: Mapping[str, Any] | None = None,
+        self, ax: Any = None, *, line_kw: Keywords = None, bound_kw: Keywords = None
     ) -> ConvergenceDisplay:
         """Draw the errors and the guaranteed slope.
 
@@ -242,7 +226,7 @@ class ConvergenceDisplay:
         ax : matplotlib Axes, default=None
             The axes to draw on. None for those of a new figure.
         line_kw, bound_kw : dict, default=None
-            Keyword arguments for the lines of the errors and of the guarantee.
+            Keyword arguments for the line of the errors and for the guaranteed slope.
 
         Returns
         -------
@@ -250,42 +234,31 @@ class ConvergenceDisplay:
             The display itself.
         """
         check_choice(self.quantity, "quantity", ERRORS)
-        ax = axes_for(ax)
-        _, color, marker = next_style(ax)
+        ax = self._set_axes(ax)
         h, error = np.asarray(self.fill_distance), np.asarray(self.error)
         used = np.full(len(h), True) if self.used is None else np.asarray(self.used)
-        shown = drawable(h, error)
-        order = np.argsort(h, kind="stable")
-        fitted, rest = order[(shown & used)[order]], order[(shown & ~used)[order]]
-        style = {"color": color, "marker": marker, "markersize": 5, "linewidth": 1.2}
-        style = line_style({**style, "label": self._label()}, line_kw)
-        (self.line_,) = ax.loglog(h[fitted], error[fitted], **style)
+        style = self._next_style(self._label(), line_kw)
+        self.line_ = self._draw_curve(h[used], error[used], style)
+        hollow = {"linestyle": "none", "markerfacecolor": "none", "label": "_unused"}
         self.unused_ = self.bound_ = None
-        if len(rest):
-            hollow = {"linestyle": "none", "markerfacecolor": "none"}
-            hollow["label"] = "_unused"
-            (self.unused_,) = ax.loglog(h[rest], error[rest], **{**style, **hollow})
-        anchored = fitted if len(fitted) else rest
-        if np.isfinite(self.guaranteed_slope) and len(anchored):
-            ends = h[anchored[[0, -1]]]
-            ratio = error[anchored] / h[anchored] ** self.guaranteed_slope
-            style = {"linestyle": "--", "linewidth": 1, "label": "_guaranteed"}
+        if not used.all():
+            self.unused_ = self._draw_curve(h[~used], error[~used], style | hollow)
+        drawn = self.line_ if len(self.line_.get_xdata()) else self.unused_
+        if drawn is not None and np.isfinite(self.guaranteed_slope):
+            x, y = drawn.get_data()
+            height = HEIGHT * (y / x**self.guaranteed_slope).max()
+            style = {"color": self.line_.get_color(), "linestyle": "--", "linewidth": 1}
             (self.bound_,) = ax.loglog(
-                ends,
-                ABOVE * ratio.max() * ends**self.guaranteed_slope,
-                **line_style({**style, "color": self.line_.get_color()}, bound_kw),
+                x[[0, -1]],
+                height * x[[0, -1]] ** self.guaranteed_slope,
+                **merge_style({**style, "label": "_guaranteed"}, bound_kw),
             )
-        ax.set(
-            xlabel=with_unit("fill distance", self.state_unit),
-            ylabel=with_unit(ERRORS[self.quantity], self.output_unit),
-        )
         title = f"slope ± {self.confidence:.0%} interval"
         labels = {line.get_label() for line in ax.lines}
         title += ", dashed: guaranteed" * ("_guaranteed" in labels)
         title += ", hollow: not fitted" * ("_unused" in labels)
-        finish_curves(ax, title)
-        self.ax_ = ax
-        self.figure_ = ax.figure
+        xlabel = with_unit("fill distance", self.state_unit)
+        self._finish(title, xlabel, with_unit(ERRORS[self.quantity], self.output_unit))
         return self
 
     def _label(self) -> str:

@@ -2,38 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from sklearn.utils import check_consistent_length
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_koopman._utils._pipeline import unwrap
+from sklearn_koopman._utils._pipeline import transformed, unwrap
 from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_flag, check_integer, check_number
-from sklearn_koopman.plotting._inputs import column, one_step, times_of
-from sklearn_koopman.plotting._style import (
+from sklearn_koopman._utils._validation import (
+    check_choice,
+    check_flag,
+    check_integer,
+    check_number,
+)
+from sklearn_koopman.plotting._display import (
     COLORS,
-    axes_for,
+    Display,
+    Keywords,
+    count_curves,
     limit_view,
-    line_style,
-    merged,
-    next_style,
+    merge_style,
     with_unit,
 )
-
-__all__ = ["ForecastDisplay"]
-
+from sklearn_koopman.plotting._inputs import predict_one_step, select_output, times_of
 
 TRUTH = "measured"
+SAMPLES, SECONDS = "time [samples]", "time [s]"
 
 
-class ForecastDisplay:
+@dataclass(kw_only=True, eq=False, repr=False)
+class ForecastDisplay(Display):  # numpydoc ignore=PR02
     """Measured and predicted output over time, with a band of uncertainty.
 
-    It is recommended to create it by :meth:`from_predictions` or
-    :meth:`from_estimator`. All parameters are stored as attributes. Several displays on
-    the same axes, of several models, share the line of the measured output.
+    Create a display by :meth:`from_predictions` or :meth:`from_estimator`. All
+    parameters are stored as attributes. Several displays on the same axes, of several
+    models, share the line of the measured output.
 
     Parameters
     ----------
@@ -42,32 +47,32 @@ class ForecastDisplay:
     y_true : ndarray of shape (n_times,)
         The measured output.
     y_pred : ndarray of shape (n_times,)
-        The predicted output; NaN where a forecast could not be followed any further.
+        The predicted output; NaN from where a forecast could not be continued.
     bound : ndarray of shape (n_times,), default=None
-        Half the width of a band around the prediction.
+        Half the width of a band around the prediction, in the unit of the output.
     bound_label : str, default="bound"
-        What the band is.
+        The name of the band in the legend.
     name : str, default="predicted"
-        What the prediction is.
+        The name of the prediction in the legend.
     time_label : str, default="time [samples]"
         Label of the horizontal axis.
     output_name : str, default="output"
         Name of the output.
     unit : str, default=None
-        Its unit.
+        Unit of the output.
 
     Attributes
     ----------
     truth_ : matplotlib Line2D
         The measured output.
     prediction_ : matplotlib Line2D
-        The predicted one.
+        The predicted output.
     band_ : matplotlib PolyCollection or None
         The band.
     ax_ : matplotlib Axes
         The axes.
     figure_ : matplotlib Figure
-        The figure that they are in.
+        The figure of the axes.
 
     See Also
     --------
@@ -76,9 +81,8 @@ class ForecastDisplay:
 
     Notes
     -----
-    Where predictions or the band are beyond the measured output by more than its range,
-    the vertical axis ends there, so that a forecast that diverges, or a bound that is
-    loose, does not flatten the rest.
+    The vertical axis ends at most one range of the measured output beyond that output.
+    A forecast that diverges, or a very wide band, then does not flatten the rest.
 
     Examples
     --------
@@ -100,28 +104,15 @@ class ForecastDisplay:
     >>> plt.close(display.figure_)
     """
 
-    def __init__(
-        self,
-        *,
-        time: Array,
-        y_true: Array,
-        y_pred: Array,
-        bound: Array | None = None,
-        bound_label: str = "bound",
-        name: str = "predicted",
-        time_label: str = "time [samples]",
-        output_name: str = "output",
-        unit: str | None = None,
-    ) -> None:
-        self.time = time
-        self.y_true = y_true
-        self.y_pred = y_pred
-        self.bound = bound
-        self.bound_label = bound_label
-        self.name = name
-        self.time_label = time_label
-        self.output_name = output_name
-        self.unit = unit
+    time: Array
+    y_true: Array
+    y_pred: Array
+    bound: Array | None = None
+    bound_label: str = "bound"
+    name: str = "predicted"
+    time_label: str = SAMPLES
+    output_name: str = "output"
+    unit: str | None = None
 
     @classmethod
     def from_predictions(
@@ -139,45 +130,42 @@ class ForecastDisplay:
         unit: str | None = None,
         name: str = "predicted",
         ax: Any = None,
-        truth_kw: Mapping[str, Any] | None = None,
-        prediction_kw: Mapping[str, Any] | None = None,
-        band_kw: Mapping[str, Any] | None = None,
+        **artist_kw: Any,
     ) -> ForecastDisplay:
-        """Plot predictions beside the truth.
+        """Plot predictions beside the measured output.
 
         Parameters
         ----------
         y_true : array-like of shape (n_times,) or (n_times, n_outputs)
             The measured outputs, in the order of time.
         y_pred : array-like of shape (n_times,) or (n_times, n_outputs)
-            The predicted ones.
+            The predicted outputs.
         bound : array-like of shape (n_times,) or (n_times, n_outputs), default=None
-            Half the width of a band around the predictions. One column is taken for
-            all outputs.
+            Half the width of a band around the predictions. One column, or one number,
+            is taken for all outputs.
         bound_label : str, default="bound"
-            What the band is, for the legend.
+            The name of the band in the legend.
         time : array-like of shape (n_times,), default=None
             The times of the outputs in seconds.
         dt : float, default=None
-            Instead of them, the time between outputs. The first one is `dt` after the
-            start, as the outputs of a row are one step after it. With neither, samples
-            are counted.
+            The time between outputs in seconds, instead of `time`. The first output is
+            at `dt`, because the output of a row is one step after the row. With
+            neither, samples are counted.
         time_label : str, default=None
             Label of the horizontal axis. None for "time [s]" or "time [samples]".
         output : int, default=0
             Which of several outputs.
         output_name : str, default=None
-            Its name. None for "output", with its number if there are several.
+            The name of the output. None for "output", with its number if there are
+            several.
         unit : str, default=None
-            Its unit.
+            The unit of the output.
         name : str, default="predicted"
-            What to call the prediction in the legend.
+            The name of the prediction in the legend.
         ax : matplotlib Axes, default=None
             The axes to draw on. None for those of a new figure.
-        truth_kw, prediction_kw : dict, default=None
-            Keyword arguments for the lines.
-        band_kw : dict, default=None
-            Keyword arguments for ``fill_between``.
+        **artist_kw : dict
+            The parameters `truth_kw`, `prediction_kw` and `band_kw` of :meth:`plot`.
 
         Returns
         -------
@@ -192,13 +180,13 @@ class ForecastDisplay:
         """
         y_true, y_pred = np.asarray(y_true), np.asarray(y_pred)
         n_times = len(y_pred)
-        truth = column(y_true, output, n_times, "y_true")
-        predicted = column(y_pred, output, n_times, "y_pred")
+        truth = select_output(y_true, output, n_times, "y_true")
+        predicted = select_output(y_pred, output, n_times, "y_pred")
         if bound is not None:
             bound = np.asarray(bound, dtype=np.float64)
             bound = np.full(n_times, bound) if bound.ndim == 0 else bound
-            shared = bound.reshape(len(bound), -1).shape[1] == 1
-            bound = column(bound, 0 if shared else output, n_times, "bound")
+            column = 0 if bound[:1].size == 1 else output
+            bound = select_output(bound, column, n_times, "bound")
             if (bound < 0).any():
                 raise ValueError(
                     f"bound must be half the width of the band, got {bound.min():.3g}."
@@ -206,8 +194,7 @@ class ForecastDisplay:
         if output_name is None:
             output_name = "output" if y_true[:1].size == 1 else f"output {output}"
         if time_label is None:
-            counted = time is None and dt is None
-            time_label = "time [samples]" if counted else "time [s]"
+            time_label = SAMPLES if time is None and dt is None else SECONDS
         return cls(
             time=times_of(n_times, time, dt),
             y_true=truth,
@@ -218,7 +205,7 @@ class ForecastDisplay:
             time_label=time_label,
             output_name=output_name,
             unit=unit,
-        ).plot(ax, truth_kw=truth_kw, prediction_kw=prediction_kw, band_kw=band_kw)
+        ).plot(ax, **artist_kw)
 
     @classmethod
     def from_estimator(
@@ -255,16 +242,19 @@ class ForecastDisplay:
         lag : int, default=1
             How many rows make one step.
         relift : bool, default=False
-            As for :meth:`sklearn_koopman.KernelEDMD.forecast`.
+            Whether a forecast goes from each state to the next one by the learned map
+            of states, instead of by powers of the operator. See
+            :meth:`sklearn_koopman.KernelEDMD.forecast`.
         band : {"std", "bound"}, default=None
             A band for predictions one step ahead: two standard deviations, or the error
             bound of a :class:`~sklearn_koopman.KoopmanKernelRegressor`.
         norm : float or array-like of shape (n_outputs,), default=None
-            The native norm of the outputs, for the error bound. None to estimate it.
+            The native norm of the outputs, that is their norm in the function space of
+            the kernel, for the error bound. None to estimate it.
         dt : float, default=None
             The time between rows in seconds. None to count samples.
         **display_kw : dict
-            What :meth:`from_predictions` takes, but `bound` and `time`.
+            The parameters of :meth:`from_predictions` except `bound` and `time`.
 
         Returns
         -------
@@ -281,63 +271,56 @@ class ForecastDisplay:
         check_integer(start, "start", 0)
         check_integer(lag, "lag", 1)
         check_flag(relift, "relift")
-        if band not in (None, "std", "bound"):
-            raise ValueError(f"band must be 'std', 'bound' or None, got {band!r}.")
+        check_choice(band, "band", (None, "std", "bound"))
         if dt is not None:
             check_number(dt, "dt", positive=True)
         y = np.asarray(y)
-        if len(y) != len(X):
-            raise ValueError(
-                f"y must have an output for each of the {len(X)} rows of X, got "
-                f"{len(y)}."
-            )
-        needed = start + 1
-        if n_steps is not None:
+        check_consistent_length(X, y)
+        if n_steps is None:
+            rows = slice(start, None)
+            needed = start + 1
+        else:
             check_integer(n_steps, "n_steps", 1)
-            needed += lag * (n_steps - 1)
+            needed = start + lag * (n_steps - 1) + 1
+            rows = slice(start, needed, lag)
         if len(y) < needed:
             raise ValueError(
                 f"start={start}, lag={lag} and n_steps={n_steps} need {needed} rows, "
                 f"got {len(y)}; lower start or n_steps, or give more rows."
             )
         final, scaler = unwrap(estimator)
-        states = X if scaler is None else scaler.transform(X)
+        states = transformed(scaler, X)
         taken = slice(start, None if n_steps is None else start + 1)
         states = states.iloc[taken] if hasattr(states, "iloc") else states[taken]
+        truth, bound, label = y[rows], None, "bound"
         if n_steps is None:
-            truth, ahead = y[start:], lag + np.arange(len(y) - start)
-            predicted, bound, label = one_step(final, states, band, norm)
-        else:
-            if not hasattr(final, "forecast") or band is not None:
-                raise ValueError(
-                    f"n_steps={n_steps} asks for a forecast, which takes a KernelEDMD "
-                    f"and has no band; got {type(final).__name__} and band={band!r}. "
-                    "With n_steps=None predictions are one step ahead."
-                )
-            truth, ahead = y[start::lag][:n_steps], lag * np.arange(1, n_steps + 1)
+            predicted, bound, label = predict_one_step(final, states, band, norm)
+            ahead = lag + np.arange(len(truth))
+        elif hasattr(final, "forecast") and band is None:
             predicted = final.forecast(states, n_steps, relift=relift)[0]
-            bound, label = None, "bound"
-        defaults = {
-            "bound_label": label,
-            "time_label": "time [samples]" if dt is None else "time [s]",
-        }
+            ahead = lag * np.arange(1, n_steps + 1)
+        else:
+            raise ValueError(
+                f"n_steps={n_steps} asks for a forecast, which takes a KernelEDMD "
+                f"and has no band; got {type(final).__name__} and band={band!r}. "
+                "With n_steps=None predictions are one step ahead."
+            )
+        display_kw.setdefault("bound_label", label)
+        display_kw.setdefault("time_label", SAMPLES if dt is None else SECONDS)
+        time = ahead * (1 if dt is None else dt)
         return cls.from_predictions(
-            truth,
-            predicted,
-            bound=bound,
-            time=ahead * (1 if dt is None else dt),
-            **{**defaults, **display_kw},
+            truth, predicted, bound=bound, time=time, **display_kw
         )
 
     def plot(
         self,
         ax: Any = None,
         *,
-        truth_kw: Mapping[str, Any] | None = None,
-        prediction_kw: Mapping[str, Any] | None = None,
-        band_kw: Mapping[str, Any] | None = None,
+        truth_kw: Keywords = None,
+        prediction_kw: Keywords = None,
+        band_kw: Keywords = None,
     ) -> ForecastDisplay:
-        """Draw truth, prediction and band.
+        """Draw the measured output, the prediction and the band.
 
         Parameters
         ----------
@@ -353,47 +336,34 @@ class ForecastDisplay:
         display : ForecastDisplay
             The display itself.
         """
-        ax = axes_for(ax)
-        style = {"color": "k", "linewidth": 1.5, "label": TRUTH}
-        style = line_style(style, truth_kw)
+        ax = self._set_axes(ax)
+        style: dict[str, Any] = {"color": "k", "linewidth": 1.5, "label": TRUTH}
+        style = merge_style(style, truth_kw)
+        label = style["label"]
         shared = [
             line
             for line in ax.lines
-            if line.get_label() == style["label"]
+            if line.get_label() == label
             and np.array_equal(line.get_xdata(), self.time)
             and np.array_equal(line.get_ydata(), self.y_true, equal_nan=True)
         ]
-        n_before = next_style(ax, [style["label"]])[0]
+        color = COLORS[(count_curves(ax, [label]) + 1) % len(COLORS)]  # no blue first
         drawn = shared or ax.plot(self.time, self.y_true, **style)
         self.truth_ = drawn[0]
-        style = {
-            "color": COLORS[(n_before + 1) % len(COLORS)],  # no blue on black
-            "linestyle": "--",
-            "linewidth": 1.5,
-            "label": self.name,
-        }
-        (self.prediction_,) = ax.plot(
-            self.time, self.y_pred, **line_style(style, prediction_kw)
-        )
+        style = {"color": color, "linestyle": "--", "linewidth": 1.5}
+        style = merge_style(style | {"label": self.name}, prediction_kw)
+        (self.prediction_,) = ax.plot(self.time, self.y_pred, **style)
         self.band_ = None
-        edges = [self.y_pred]
         if self.bound is not None:
-            edges = [self.y_pred - self.bound, self.y_pred + self.bound]
-            style = {
-                "facecolor": self.prediction_.get_color(),
-                "alpha": 0.25,
-                "linewidth": 0,
-                "zorder": 1.5,
-                "label": self.bound_label,
-            }
+            style = {"facecolor": self.prediction_.get_color(), "alpha": 0.25}
+            style |= {"linewidth": 0, "zorder": 1.5, "label": self.bound_label}
             self.band_ = ax.fill_between(
                 self.time,
-                *edges,
-                **merged("collections.PolyCollection", style, band_kw),
+                self.y_pred - self.bound,
+                self.y_pred + self.bound,
+                **merge_style(style, band_kw, collection=True),
             )
         limit_view(ax, self.y_true)
         ax.set(xlabel=self.time_label, ylabel=with_unit(self.output_name, self.unit))
         ax.legend(loc="upper center", ncols=4, fontsize="small")
-        self.ax_ = ax
-        self.figure_ = ax.figure
         return self

@@ -2,40 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_koopman._utils._pipeline import unwrap
-from sklearn_koopman._utils._typing import Array
+from sklearn_koopman._utils._typing import Array, Complex
 from sklearn_koopman._utils._validation import check_flag
-from sklearn_koopman.plotting._style import axes_for, line_style, merged
+from sklearn_koopman.plotting._display import Display, Keywords, merge_style
 
-__all__ = ["SpectrumDisplay"]
-
-
-SMALLEST = 1e-6  # residuals below it all get the same colour
+# All smaller residuals have the same colour.
+MIN_RESIDUAL = 1e-6
 
 
-class SpectrumDisplay:
+@dataclass(kw_only=True, eq=False, repr=False)
+class SpectrumDisplay(Display):  # numpydoc ignore=PR02
     """Eigenvalues of a Koopman operator, and how far to trust them.
 
     The colour is the residual: how far each eigenpair is from one of the true operator.
-    Of eigenvalues that cover each other, the most trustworthy is on top.
+    Where eigenvalues overlap, the most trustworthy one is on top.
 
-    It is recommended to create it by :meth:`from_estimator`. All parameters are stored
-    as attributes.
+    Create a display by :meth:`from_estimator`. All parameters are stored as attributes.
 
     Parameters
     ----------
     eigenvalues : ndarray of shape (n_modes,), complex
         The eigenvalues.
     residuals : ndarray of shape (n_modes,)
-        Their residuals. Zero gets the colour of the smallest positive one, infinity and
-        NaN that of the largest.
+        Their residuals. A residual of zero has the colour of the smallest positive
+        one; infinity and NaN have the colour of the largest one.
 
     Attributes
     ----------
@@ -49,7 +46,7 @@ class SpectrumDisplay:
     ax_ : matplotlib Axes
         The axes.
     figure_ : matplotlib Figure
-        The figure that they are in.
+        The figure of the axes.
 
     See Also
     --------
@@ -74,21 +71,12 @@ class SpectrumDisplay:
     >>> plt.close(display.figure_)
     """
 
-    def __init__(
-        self, *, eigenvalues: NDArray[np.complex128], residuals: Array
-    ) -> None:
-        self.eigenvalues = eigenvalues
-        self.residuals = residuals
+    eigenvalues: Complex
+    residuals: Array
 
     @classmethod
     def from_estimator(
-        cls,
-        estimator: Any,
-        *,
-        ax: Any = None,
-        colorbar: bool = True,
-        scatter_kw: Mapping[str, Any] | None = None,
-        circle_kw: Mapping[str, Any] | None = None,
+        cls, estimator: Any, *, ax: Any = None, **artist_kw: Any
     ) -> SpectrumDisplay:
         """Plot the spectrum of a fitted operator.
 
@@ -98,11 +86,8 @@ class SpectrumDisplay:
             The fitted operator, or a pipeline or a search of one.
         ax : matplotlib Axes, default=None
             The axes to draw on. None for those of a new figure.
-        colorbar : bool, default=True
-            Whether to draw the scale of residuals.
-        scatter_kw, circle_kw : dict, default=None
-            Keyword arguments for ``scatter``, such as a `norm` that several displays
-            share, and for the line of the unit circle.
+        **artist_kw : dict
+            The parameters `colorbar`, `scatter_kw` and `circle_kw` of :meth:`plot`.
 
         Returns
         -------
@@ -122,17 +107,16 @@ class SpectrumDisplay:
                 f"estimator={final!r} has no spectrum; pass a KernelEDMD fitted with "
                 "n_modes=None, or with as many modes as you need."
             )
-        return cls(eigenvalues=eigenvalues, residuals=final.residuals_).plot(
-            ax, colorbar=colorbar, scatter_kw=scatter_kw, circle_kw=circle_kw
-        )
+        display = cls(eigenvalues=eigenvalues, residuals=final.residuals_)
+        return display.plot(ax, **artist_kw)
 
     def plot(
         self,
         ax: Any = None,
         *,
         colorbar: bool = True,
-        scatter_kw: Mapping[str, Any] | None = None,
-        circle_kw: Mapping[str, Any] | None = None,
+        scatter_kw: Keywords = None,
+        circle_kw: Keywords = None,
     ) -> SpectrumDisplay:
         """Draw the eigenvalues and the unit circle.
 
@@ -150,17 +134,21 @@ class SpectrumDisplay:
         -------
         display : SpectrumDisplay
             The display itself.
+
+        Raises
+        ------
+        ValueError
+            If `colorbar` is not True or False.
         """
         check_flag(colorbar, "colorbar")
-        ax = axes_for(ax)
+        ax = self._set_axes(ax)
         from matplotlib.colors import LogNorm
 
         residuals = np.asarray(self.residuals, dtype=np.float64)
         ordinary = residuals[np.isfinite(residuals) & (residuals > 0)]
-        # An eigenpair whose residual is one is worth nothing. One eigenvalue known up
-        # to rounding, that of a trend, must not make all others look alike.
-        low = float(np.clip(ordinary.min(initial=0.1), SMALLEST, 0.1))
-        norm = LogNorm(low, 1.0)
+        # An eigenpair whose residual is 1 is worth nothing. The eigenvalue of a trend,
+        # which is exact up to rounding, must not make all others look alike.
+        low = float(np.clip(ordinary.min(initial=0.1), MIN_RESIDUAL, 0.1))
         largest = ordinary.max(initial=1.0)
         shown = np.where(residuals > 0, np.minimum(residuals, largest), low)
         shown[np.isnan(residuals)] = largest
@@ -168,28 +156,25 @@ class SpectrumDisplay:
             doubt = residuals / np.abs(self.eigenvalues)
         order = np.argsort(np.nan_to_num(doubt, nan=np.inf), kind="stable")[::-1]
         angle = np.linspace(0, 2 * np.pi, 400)
-        style = {"color": "0.8", "linewidth": 1, "zorder": 0}
+        style: dict[str, Any] = {"color": "0.8", "linewidth": 1, "zorder": 0}
         (self.circle_,) = ax.plot(
-            np.cos(angle), np.sin(angle), **line_style(style, circle_kw)
+            np.cos(angle), np.sin(angle), **merge_style(style, circle_kw)
         )
-        style = {"cmap": "viridis_r", "norm": norm, "s": 30, "edgecolor": "0.3"}
-        style |= {"linewidth": 0.4}
+        style = {"cmap": "viridis_r", "norm": LogNorm(low, 1.0), "s": 30}
+        style |= {"edgecolor": "0.3", "linewidth": 0.4}
         self.scatter_ = ax.scatter(
             self.eigenvalues.real[order],
             self.eigenvalues.imag[order],
             c=shown[order],
-            **merged("collections.PathCollection", style, scatter_kw),
+            **merge_style(style, scatter_kw, collection=True),
         )
         self.colorbar_ = None
         if colorbar:
             norm = self.scatter_.norm
-            ends = (shown < norm.vmin).any(), (shown > norm.vmax).any()
-            extend = {(False, False): "neither", (True, True): "both"}
+            ends = 2 * (shown < norm.vmin).any() + (shown > norm.vmax).any()
+            extend = ("neither", "max", "min", "both")[ends]
             self.colorbar_ = ax.figure.colorbar(
-                self.scatter_,
-                ax=ax,
-                label="residual",
-                extend=extend.get(ends, "min" if ends[0] else "max"),
+                self.scatter_, ax=ax, label="residual", extend=extend
             )
         ax.locator_params(nbins=6)
         ax.set(
@@ -198,6 +183,4 @@ class SpectrumDisplay:
             title=f"{len(residuals)} eigenvalues",
             aspect="equal",
         )
-        self.ax_ = ax
-        self.figure_ = ax.figure
         return self

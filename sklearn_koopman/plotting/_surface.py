@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,64 +13,61 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_koopman._utils._pipeline import unwrap
 from sklearn_koopman._utils._typing import Array
 from sklearn_koopman._utils._validation import check_integer, check_number
-from sklearn_koopman.plotting._inputs import (
-    check_limits,
-    column,
-    locate_centers,
-    names_of_features,
-    predict_like,
-)
-from sklearn_koopman.plotting._style import (
+from sklearn_koopman.plotting._display import (
     BLUE,
     GREEN,
     ORANGE,
-    axes_for,
+    Display,
+    Keywords,
     cut_surface,
-    line_style,
-    merged,
+    merge_style,
+)
+from sklearn_koopman.plotting._inputs import (
+    locate_centers,
+    predict_like,
+    resolve_names,
+    select_output,
 )
 
-__all__ = ["SurfaceDisplay"]
-
-
-# Surfaces are drawn this far, in ranges, beyond the outputs.
+# Surfaces are drawn this far beyond the outputs, as a fraction of their range.
 MARGIN = 0.25
+# Functions may grow large away from the data: these quantiles limit their range.
 QUANTILES = (0.01, 0.99)
 
 
-class SurfaceDisplay:
+@dataclass(kw_only=True, eq=False, repr=False)
+class SurfaceDisplay(Display):  # numpydoc ignore=PR02
     """Estimate over a plane of states, above the motion that it was learned from.
 
-    The mesh is the estimate of the next output, a function on the whole plane; the
-    samples lie on the manifold of the motion lifted to their outputs, and only near it
-    the estimate is to be trusted. The centres are shown twice, in the plane of states
-    at the bottom and, where the estimate interpolates their outputs, on the mesh.
+    The mesh is the estimate of the next output, a function on the whole plane. The
+    samples are the motion, each at the height of its output. Only near the samples can
+    the estimate be trusted. The centres are shown twice: in the plane of states at the
+    bottom, and on the mesh where the estimate interpolates their outputs.
 
-    It is recommended to create it by :meth:`from_estimator`. All parameters are stored
-    as attributes.
+    Create a display by :meth:`from_estimator`. All parameters are stored as attributes.
 
     Parameters
     ----------
     xx0, xx1 : ndarray of shape (grid_resolution, grid_resolution)
-        The states of the grid, as :func:`numpy.meshgrid` gives them.
+        The states of the grid, as :func:`numpy.meshgrid` returns them.
     estimate : ndarray of shape (grid_resolution, grid_resolution)
-        The estimate there.
+        The estimate on the grid, in the unit of the output.
     truth : ndarray of shape (grid_resolution, grid_resolution), default=None
-        The true function there, if it is known.
+        The true function on the grid, if it is known.
     samples : ndarray of shape (n_samples, 2), default=None
         The states of the motion.
     sample_values : ndarray of shape (n_samples,), default=None
-        Their outputs.
+        The outputs of the samples.
     centers : ndarray of shape (n_centers, 2), default=None
         The centres.
     center_values : ndarray of shape (n_centers,), default=None
-        The estimate there.
+        The estimate at the centres.
     z_limits : tuple of two float, default=None
         The range of outputs that is drawn. An estimate may grow large away from the
         data, and would flatten everything else. None for the range of all
-        `sample_values` and of the middle 98 % of `truth`, and a quarter of it on both
-        sides (without either, that of the middle 98 % of `estimate`). Surfaces are
-        clipped where they leave it, and left out beyond.
+        `sample_values` and of the middle 98 % of `truth`, extended by a quarter on both
+        sides (without either, the range of the middle 98 % of `estimate`). Surfaces
+        are clipped where they leave the range, and left out beyond.
     feature_names : sequence of two str, default=None
         Names of the states, with their units. None for "x0" and "x1".
     output_name : str, default=None
@@ -82,13 +80,14 @@ class SurfaceDisplay:
     truth_ : matplotlib Poly3DCollection or None
         The true function.
     samples_, centers_, interpolated_ : matplotlib Line3D or None
-        The samples; the centres in the plane of states; and these on the estimate.
+        The samples, the centres in the plane of states, and the centres on the
+        estimate.
     handles_ : list of matplotlib artists
-        The entries of the legend, for one that several displays share.
+        The entries of the legend, for a legend that several displays share.
     ax_ : matplotlib Axes3D
         The axes.
     figure_ : matplotlib Figure
-        The figure that they are in.
+        The figure of the axes.
 
     See Also
     --------
@@ -115,32 +114,17 @@ class SurfaceDisplay:
     >>> plt.close(display.figure_)
     """
 
-    def __init__(
-        self,
-        *,
-        xx0: Array,
-        xx1: Array,
-        estimate: Array,
-        truth: Array | None = None,
-        samples: Array | None = None,
-        sample_values: Array | None = None,
-        centers: Array | None = None,
-        center_values: Array | None = None,
-        z_limits: tuple[float, float] | None = None,
-        feature_names: Sequence[str] | None = None,
-        output_name: str | None = None,
-    ) -> None:
-        self.xx0 = xx0
-        self.xx1 = xx1
-        self.estimate = estimate
-        self.truth = truth
-        self.samples = samples
-        self.sample_values = sample_values
-        self.centers = centers
-        self.center_values = center_values
-        self.z_limits = z_limits
-        self.feature_names = feature_names
-        self.output_name = output_name
+    xx0: Array
+    xx1: Array
+    estimate: Array
+    truth: Array | None = None
+    samples: Array | None = None
+    sample_values: Array | None = None
+    centers: Array | None = None
+    center_values: Array | None = None
+    z_limits: tuple[float, float] | None = None
+    feature_names: Sequence[str] | None = None
+    output_name: str | None = None
 
     @classmethod
     def from_estimator(
@@ -157,12 +141,7 @@ class SurfaceDisplay:
         feature_names: Sequence[str] | None = None,
         output_name: str | None = None,
         ax: Any = None,
-        estimate_kw: Mapping[str, Any] | None = None,
-        truth_kw: Mapping[str, Any] | None = None,
-        sample_kw: Mapping[str, Any] | None = None,
-        center_kw: Mapping[str, Any] | None = None,
-        interpolated_kw: Mapping[str, Any] | None = None,
-        legend: bool = True,
+        **artist_kw: Any,
     ) -> SurfaceDisplay:
         """Plot the estimate of a fitted model of two state variables.
 
@@ -173,10 +152,10 @@ class SurfaceDisplay:
             those of this package, and for a pipeline if `X` holds the rows that it was
             fitted to.
         X : array-like of shape (n_samples, 2)
-            States of the motion; for a pipeline before its first step.
+            States of the motion; for a pipeline as they enter its first step.
         y : array-like of shape (n_samples,) or (n_samples, n_outputs), default=None
-            Their outputs one step later. None for those of `function` or else, of the
-            estimate.
+            Their outputs one step later. None for the values of `function`, or of the
+            estimate if there is no `function`.
         function : callable, default=None
             The true function from states of shape (n, 2) to outputs one step later.
         output : int, default=0
@@ -187,21 +166,17 @@ class SurfaceDisplay:
             How far the grid reaches beyond the states on each side, as a fraction of
             their range.
         z_limits : tuple of two float, default=None
-            The range of outputs that is drawn. None for that of the data, and a
-            quarter of it on both sides; see :class:`SurfaceDisplay`.
+            The range of outputs that is drawn. None for the range of the data, extended
+            by a quarter on both sides; see :class:`SurfaceDisplay`.
         feature_names : sequence of two str, default=None
-            Names of the states, with their units. By default those seen by `fit`.
+            Names of the states, with their units. None for the names seen by `fit`.
         output_name : str, default=None
             Name of the output, with its unit.
         ax : matplotlib Axes3D, default=None
             The axes to draw on. None for those of a new figure.
-        estimate_kw, truth_kw : dict, default=None
-            Keyword arguments for ``plot_surface``.
-        sample_kw, center_kw, interpolated_kw : dict, default=None
-            Keyword arguments for the lines of samples, centres and centres on the
-            estimate.
-        legend : bool, default=True
-            Whether to draw a legend.
+        **artist_kw : dict
+            The parameters `estimate_kw`, `truth_kw`, `sample_kw`, `center_kw`,
+            `interpolated_kw` and `legend` of :meth:`plot`.
 
         Returns
         -------
@@ -218,69 +193,62 @@ class SurfaceDisplay:
         check_is_fitted(estimator)
         check_integer(grid_resolution, "grid_resolution", 2)
         check_number(padding, "padding")
-        given = X
-        X = check_array(X, dtype=np.float64, input_name="X")
-        if X.shape[1] != 2:
+        states = check_array(X, dtype=np.float64, input_name="X")
+        if states.shape[1] != 2:
             raise ValueError(
                 f"X must have two features to draw a surface above them, got "
-                f"{X.shape[1]}; ForecastDisplay shows estimates of any number."
+                f"{states.shape[1]}; ForecastDisplay shows estimates of any number."
             )
-        names = names_of_features(unwrap(estimator)[0], given, feature_names)
-        check_limits(z_limits)
-        centers = locate_centers(estimator, given, X)
-        low, high = X.min(axis=0), X.max(axis=0)
+        if z_limits is not None and not _is_range(z_limits):
+            raise ValueError(f"z_limits must be two rising numbers, got {z_limits!r}.")
+        names = resolve_names(unwrap(estimator)[0], X, feature_names)
+        centers = locate_centers(estimator, X, states)
+        low, high = states.min(axis=0), states.max(axis=0)
         size = np.where(high > low, high - low, np.maximum(np.abs(low), 1))
         xx0, xx1 = np.meshgrid(
             *np.linspace(low - padding * size, high + padding * size, grid_resolution).T
         )
         grid = np.column_stack([xx0.ravel(), xx1.ravel()])
-        estimate = predict_like(estimator, given, grid, output)
-        truth = values = None
+
+        estimate = predict_like(estimator, X, grid, output)
+        truth = values = at_centers = None
         if function is not None:
-            truth = column(function(grid), output, len(grid), "function(X)")
+            truth = select_output(function(grid), output, len(grid), "function(X)")
+            truth = truth.reshape(xx0.shape)
         if y is not None:
-            values = column(y, output, len(X), "y")
+            values = select_output(y, output, len(states), "y")
         elif function is not None:
-            values = column(function(X), output, len(X), "function(X)")
+            values = select_output(function(states), output, len(states), "function(X)")
         else:
-            values = predict_like(estimator, given, X, output)
-        at_centers = None
+            values = predict_like(estimator, X, states, output)
         if centers is not None:
-            at_centers = predict_like(estimator, given, centers, output)
+            at_centers = predict_like(estimator, X, centers, output)
         return cls(
             xx0=xx0,
             xx1=xx1,
             estimate=estimate.reshape(xx0.shape),
-            truth=None if truth is None else truth.reshape(xx0.shape),
-            samples=X,
+            truth=truth,
+            samples=states,
             sample_values=values,
             centers=centers,
             center_values=at_centers,
             z_limits=z_limits,
             feature_names=names,
             output_name=output_name,
-        ).plot(
-            ax,
-            estimate_kw=estimate_kw,
-            truth_kw=truth_kw,
-            sample_kw=sample_kw,
-            center_kw=center_kw,
-            interpolated_kw=interpolated_kw,
-            legend=legend,
-        )
+        ).plot(ax, **artist_kw)
 
     def plot(
         self,
         ax: Any = None,
         *,
-        estimate_kw: Mapping[str, Any] | None = None,
-        truth_kw: Mapping[str, Any] | None = None,
-        sample_kw: Mapping[str, Any] | None = None,
-        center_kw: Mapping[str, Any] | None = None,
-        interpolated_kw: Mapping[str, Any] | None = None,
+        estimate_kw: Keywords = None,
+        truth_kw: Keywords = None,
+        sample_kw: Keywords = None,
+        center_kw: Keywords = None,
+        interpolated_kw: Keywords = None,
         legend: bool = True,
     ) -> SurfaceDisplay:
-        """Draw the surfaces, and what they come from.
+        """Draw the surfaces, the samples and the centres.
 
         Parameters
         ----------
@@ -298,13 +266,18 @@ class SurfaceDisplay:
         -------
         display : SurfaceDisplay
             The display itself.
+
+        Raises
+        ------
+        ValueError
+            If `ax` is not three-dimensional.
         """
-        ax = axes_for(ax, "3d")
-        if not hasattr(ax, "plot_surface"):
+        if ax is not None and not hasattr(ax, "plot_surface"):
             raise ValueError(
                 "ax must be three-dimensional; make it by "
                 "plt.subplots(subplot_kw={'projection': '3d'})."
             )
+        ax = self._set_axes(ax, "3d")
         from matplotlib.patches import Patch
 
         low, high = self.z_limits or self._limits()
@@ -314,7 +287,7 @@ class SurfaceDisplay:
         handles: list[Any] = []
 
         def _surface(values: Array, label: str, defaults: Any, given: Any) -> Any:
-            kw = merged("collections.PolyCollection", defaults, given)
+            kw = merge_style(defaults, given, collection=True)
             values = cut_surface(values, low, high)
             drawn = ax.plot_surface(self.xx0, self.xx1, values, **kw)
             color = kw.get("color", kw.get("facecolor"))
@@ -325,7 +298,7 @@ class SurfaceDisplay:
             return drawn
 
         def _points(x: Array, z: Any, defaults: Any, given: Any) -> Any:
-            kw = line_style({"linestyle": "none", "marker": "o"} | defaults, given)
+            kw = merge_style({"linestyle": "none", "marker": "o"} | defaults, given)
             (drawn,) = ax.plot(*x.T, z, **kw)
             handles.append(drawn)
             return drawn
@@ -346,11 +319,8 @@ class SurfaceDisplay:
             size = float(np.clip(30 / np.sqrt(n), 1.2, 5))
             style = {"color": ORANGE, "markersize": size, "zorder": 5}
             on_mesh = style | {"label": "estimate at the centres"}
-            values = np.where(
-                (self.center_values >= low) & (self.center_values <= high),
-                self.center_values,
-                np.nan,
-            )
+            values = self.center_values
+            values = np.where((values >= low) & (values <= high), values, np.nan)
             self.interpolated_ = _points(self.centers, values, on_mesh, interpolated_kw)
             style |= {"markerfacecolor": "none", "zorder": 1, "label": f"{n} centres"}
             style["markeredgewidth"] = max(size / 6, 0.4)
@@ -362,24 +332,26 @@ class SurfaceDisplay:
         self.handles_ = handles
         if legend:
             ax.legend(handles=handles, loc="upper left", fontsize="small")
-        self.ax_ = ax
-        self.figure_ = ax.figure
         return self
 
     def _limits(self) -> tuple[float, float]:
         """Return the range of outputs that is worth drawing."""
-        ranges: list[Any] = []
-        for values, quantiles in (
-            (self.sample_values, (0.0, 1.0)),
-            (self.truth, QUANTILES),
-            (self.estimate, QUANTILES),
-        ):
-            fallback = values is self.estimate
-            if values is None or (fallback and ranges):
-                continue
-            finite = values[np.isfinite(values)]
-            if len(finite):
-                ranges.append(np.quantile(finite, quantiles))
-        low, high = (np.min(ranges), np.max(ranges)) if ranges else (0.0, 0.0)
+        ranges = [
+            *_finite_quantiles(self.sample_values, (0, 1)),
+            *_finite_quantiles(self.truth, QUANTILES),
+        ]
+        ranges = ranges or [*_finite_quantiles(self.estimate, QUANTILES)] or [0.0]
+        low, high = min(ranges), max(ranges)
         margin = MARGIN * (high - low) or 1.0
         return float(low - margin), float(high + margin)
+
+
+def _finite_quantiles(values: Array | None, quantiles: tuple[float, float]) -> Array:
+    """Return quantiles of the finite values; none if there are no such values."""
+    finite = np.empty(0) if values is None else values[np.isfinite(values)]
+    return np.quantile(finite, quantiles) if len(finite) else finite
+
+
+def _is_range(limits: Any) -> bool:
+    pair = np.asarray(limits, dtype=np.float64)
+    return pair.shape == (2,) and bool(np.isfinite(pair).all() and pair[0] < pair[1])

@@ -1,0 +1,129 @@
+"""What all displays share: axes, colours, styles, scales and labels."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from sklearn_koopman._utils._typing import Array
+
+# Okabe and Ito's colours, which people with any colour vision can tell apart.
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+BLUE, ORANGE, GREEN, *_ = COLORS
+# One more than colours, so that both together repeat after 42 curves only.
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+# Room for a row of legend entries above the curves, as a fraction of their range.
+HEADROOM = 0.15
+
+# Keyword arguments for an artist of matplotlib.
+Keywords: TypeAlias = Mapping[str, Any] | None
+
+
+class Display:
+    """Base class of the displays. It keeps the axes that a display is drawn on."""
+
+    ax_: Any
+    figure_: Any
+
+    def _set_axes(self, ax: Any, projection: str | None = None) -> Any:
+        """Store and return the given axes, or the axes of a new figure."""
+        try:
+            import matplotlib.pyplot as plt
+        except ImportError as error:
+            raise ImportError(
+                "Drawing needs matplotlib, which is not installed; install it by "
+                'pip install "sklearn-koopman[plot]".'
+            ) from error
+        if ax is None:
+            _, ax = plt.subplots(
+                layout="constrained", subplot_kw={"projection": projection}
+            )
+        self.ax_, self.figure_ = ax, ax.figure
+        return ax
+
+
+def merge_style(
+    defaults: Mapping[str, Any], given: Keywords, *, collection: bool = False
+) -> dict[str, Any]:
+    """Let keyword arguments of the caller, under any alias, replace the defaults."""
+    from matplotlib import cbook, collections, lines
+
+    artist: Any = collections.Collection if collection else lines.Line2D
+    return {**defaults, **cbook.normalize_kwargs(dict(given or {}), artist)}
+
+
+def count_curves(ax: Any, uncounted: Collection[str] = ()) -> int:
+    """Count the lines on axes that have a label, other than some labels."""
+    labels = [str(line.get_label()) for line in ax.lines]
+    return sum(not x.startswith("_") and x not in uncounted for x in labels)
+
+
+class CurveDisplay(Display):
+    """Base class of the displays of curves on logarithmic axes."""
+
+    def _next_style(
+        self, label: str, given: Keywords, uncounted: Collection[str] = ()
+    ) -> dict[str, Any]:
+        """Return how to draw the next curve, different from those on the axes."""
+        n = count_curves(self.ax_, uncounted)
+        color, marker = COLORS[n % len(COLORS)], MARKERS[n % len(MARKERS)]
+        style = {"color": color, "marker": marker, "markersize": 5, "linewidth": 1.2}
+        return merge_style(style | {"label": label}, given)
+
+    def _draw_curve(self, x: Array, y: Array, style: Mapping[str, Any]) -> Any:
+        """Draw the points that the axes can show, from left to right."""
+        order = np.argsort(x, kind="stable")
+        order = order[((x > 0) & (y > 0) & np.isfinite(x) & np.isfinite(y))[order]]
+        (line,) = self.ax_.loglog(x[order], y[order], **style)
+        return line
+
+    def _finish(self, title: str | None, xlabel: str, ylabel: str) -> None:
+        """Add labels, a legend with a title, and ticks that do not overlap."""
+        from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+        low, high = self.ax_.get_xlim()
+        axis = self.ax_.xaxis
+        axis.set_minor_formatter(NullFormatter())
+        if high < 100 * low:  # up to two powers of ten: label what is between, too
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+        self.ax_.set(xlabel=xlabel, ylabel=ylabel)
+        size = "small" if count_curves(self.ax_) <= 4 else "x-small"
+        options = {"fontsize": size, "title_fontsize": size, "alignment": "left"}
+        self.ax_.legend(title=title, **options)
+
+
+def with_unit(name: str, unit: str | None) -> str:
+    """Return the label of an axis."""
+    return name if unit is None else f"{name} [{unit}]"
+
+
+def slope_text(slope: float, interval: Sequence[float]) -> str:
+    """Write a slope and half the width of its interval, if they are finite."""
+    if not np.isfinite(slope):
+        return "no slope"
+    half = (interval[1] - interval[0]) / 2
+    error = f" ± {half:.2f}" if np.isfinite(half) else ""
+    return f"{slope:.2f}{error}".replace("-", "\N{MINUS SIGN}")
+
+
+def limit_view(ax: Any, truth: Array) -> None:
+    """End the vertical axis at most one range of the true values beyond them."""
+    truth = truth[np.isfinite(truth)]
+    if not len(truth):
+        return
+    size = float(np.ptp(truth) or np.abs(truth).max() or 1.0)
+    low, high = ax.dataLim.intervaly
+    low, high = max(low, truth.min() - size), min(high, truth.max() + size)
+    margin = 0.05 * ((high - low) or size)
+    ax.set_ylim(low - margin, high + margin + HEADROOM * (high - low))
+
+
+def cut_surface(values: Array, low: float, high: float) -> Array:
+    """Clip a surface at the edge of a range, and blank it (NaN) farther out."""
+    inside = (values >= low) & (values <= high)
+    edge = binary_dilation(inside, np.ones((3, 3), dtype=bool))
+    return np.where(edge, np.clip(values, low, high), np.nan)
