@@ -25,8 +25,8 @@ PIVOT_OPTIMISM = 1e4
 MAX_BYTES_FOR_THREADS = 2**31
 
 
-def cholesky(K: Array, *, lower: bool) -> Array:
-    """Factor one triangle of a matrix in place, and leave the other as it is.
+def cholesky(K: Array) -> Array:
+    """Factor the lower triangle of a matrix in place, and leave the upper one as it is.
 
     Raises
     ------
@@ -34,15 +34,15 @@ def cholesky(K: Array, *, lower: bool) -> Array:
         If the matrix is not numerically positive definite.
     """
     with one_thread() if K.nbytes >= MAX_BYTES_FOR_THREADS else nullcontext():
-        factor, info = lapack.dpotrf(K, lower=int(lower), clean=0, overwrite_a=1)
+        lower, info = lapack.dpotrf(K, lower=1, clean=0, overwrite_a=1)
     if info != 0:
         raise np.linalg.LinAlgError("the matrix is not positive definite")
-    return factor
+    return lower
 
 
-def exact_rcond(factor: Array, norm: float, *, lower: bool) -> float:
+def exact_rcond(lower: Array, norm: float) -> float:
     """Estimate the reciprocal condition number in the 1-norm from a Cholesky factor."""
-    return float(lapack.dpocon(factor, norm, uplo="L" if lower else "U")[0])
+    return float(lapack.dpocon(lower, norm, uplo="L")[0])
 
 
 def factorize(K: Array, norm: float) -> tuple[Array, float]:
@@ -61,10 +61,10 @@ def factorize(K: Array, norm: float) -> tuple[Array, float]:
     LinAlgError
         If the matrix is not numerically positive definite.
     """
-    lower = cholesky(K, lower=True)
+    lower = cholesky(K)
     rcond_bound = pivot_rcond(lower.diagonal())
     if rcond_bound < PIVOT_OPTIMISM * RCOND_TO_VERIFY:
-        rcond_bound = exact_rcond(lower, norm, lower=True)
+        rcond_bound = exact_rcond(lower, norm)
     if not rcond_bound >= MIN_RCOND:
         raise np.linalg.LinAlgError("the Gram matrix is numerically singular")
     return lower, rcond_bound

@@ -198,21 +198,19 @@ class GrowingLeastSquares:
     def over(cls, system: DirectSystem, X: Array, y: Array) -> GrowingLeastSquares:
         """Start with the first rows."""
         check_trend_determined(system.trend, len(system.kept))
-        equations = NormalEquations.empty(system, system.lower, y.shape[1])
+        equations = NormalEquations.empty(system, y.shape[1])
         equations.add(system, X, y.__getitem__)
         return cls(system, equations, len(X))
 
     def add(self, X: Array, y: Array, alpha: float) -> Fit:
         """Add rows and return `fit`; if there is none, the rows do not count."""
-        n_rows, before = self.n_rows, self.equations.copy()
+        before = self.n_rows, self.equations.copy()
         try:
             self.equations.add(self.system, X, y.__getitem__)
             self.n_rows += len(X)
             return self.fit(X, alpha)
         except ValueError:  # of linear algebra, too
-            np.copyto(self.equations.upper, before.upper)
-            before.upper = self.equations.upper
-            self.n_rows, self.equations = n_rows, before
+            self.n_rows, self.equations = before
             raise
 
     def fit(self, X: Array, alpha: float) -> Fit:
@@ -225,8 +223,7 @@ class GrowingLeastSquares:
         """
         system = self.system
         check_rows_suffice(self.n_rows, len(system.kept), alpha)
-        F = np.empty_like(system.lower)
-        z, b, dof = self.equations.solve(system, alpha, F)
+        z, b, dof = self.equations.solve(system, alpha)
         norms = self.equations.residual_norms(z, b)
         noise_std = scale_residuals(norms, self.n_rows, dof)
         return system.fit_at(X, z, b, dof)._replace(noise_std=noise_std)

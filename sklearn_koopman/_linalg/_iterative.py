@@ -385,7 +385,7 @@ def _dense_root(sections: KernelSections) -> Array:
         F = K.copy(order="F")
         F[np.diag_indices(len(F))] += shift
         try:
-            return np.tril(dtrtri(cholesky(F, lower=True), lower=1)[0])
+            return np.tril(dtrtri(cholesky(F), lower=1)[0])
         except np.linalg.LinAlgError:
             shift *= 100
 

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
 from joblib import effective_n_jobs
-from scipy.linalg.blas import dgemm
+from scipy.linalg.blas import dgemm, dsymm, dsyrk
 from scipy.linalg.lapack import dpotri, dpotrs
 from sklearn.utils import gen_batches
 from sklearn.utils.parallel import Parallel, delayed
@@ -61,15 +61,9 @@ class OrthonormalBasis(Protocol):
 
 @dataclass
 class NormalEquations:
-    """Sums over rows.
+    """Sums over rows."""
 
-    The blocks of A A^T above its diagonal blocks lie in the upper triangle of an
-    array, which may be the Cholesky factor of the basis: it leaves it unused, so that
-    memory stays at one M x M matrix.
-    """
-
-    upper: Array  # (M, M) in Fortran order
-    corners: list[Array]  # the diagonal blocks
+    AA: Array  # (M, M) in Fortran order, its lower triangle only
     Ay: Array
     AT: Array
     Ty: Array
@@ -78,24 +72,12 @@ class NormalEquations:
     diagonal: float  # sum of k(x, x)
 
     @classmethod
-    def empty(
-        cls, basis: OrthonormalBasis, upper: Array, n_outputs: int
-    ) -> NormalEquations:
+    def empty(cls, basis: OrthonormalBasis, n_outputs: int) -> NormalEquations:
         """Return the sums over no rows."""
-        M = len(upper)
-        n_terms = basis.Q.shape[1]
-        for panel in _panels(M):
-            upper[: panel.start, panel] = 0.0
-        return cls(
-            upper,
-            [np.zeros((panel.stop - panel.start,) * 2) for panel in _panels(M)],
-            np.zeros((M, n_outputs)),
-            np.zeros((M, n_terms)),
-            np.zeros((n_terms, n_outputs)),
-            np.zeros((n_terms, n_terms)),
-            np.zeros(n_outputs),
-            0.0,
-        )
+        M, q = basis.Q.shape
+        AA, Ay = np.zeros((M, M), order="F"), np.zeros((M, n_outputs))
+        Ty, TT = np.zeros((q, n_outputs)), np.zeros((q, q))
+        return cls(AA, Ay, np.zeros((M, q)), Ty, TT, np.zeros(n_outputs), 0.0)
 
     def copy(self) -> NormalEquations:
         """Return a copy that shares nothing."""
@@ -103,39 +85,28 @@ class NormalEquations:
 
     def add(self, basis: OrthonormalBasis, X: Array, y: Outputs) -> None:
         """Add rows."""
-        panels = _panels(len(self.upper))
-        for rows in gen_batches(len(X), rows_per_block(len(self.upper))):
+        for rows in gen_batches(len(X), rows_per_block(len(self.AA))):
             a, t = basis.design(X[rows])
             values = y(rows)
+            self.AA = dsyrk(1.0, a, 1.0, self.AA, lower=1, overwrite_c=1)
             self.Ay += dgemm(1.0, a, values)
             if len(t):
                 self.AT += dgemm(1.0, a, t, trans_b=1)
                 self.Ty += dgemm(1.0, t, values)
                 self.TT += dgemm(1.0, t, t, trans_b=1)
-            for panel, corner in zip(panels, self.corners, strict=True):
-                product = dgemm(1.0, a[: panel.stop], a[panel], trans_b=1)
-                self.upper[: panel.start, panel] += product[: panel.start]
-                corner += product[panel.start :]
             self.yy += np.einsum("ij,ij->j", values, values)
             self.diagonal += float(basis.sections.diagonal(X[rows]).sum())
 
     def merge(self, other: NormalEquations) -> None:
         """Add the sums over other rows."""
-        for panel in _panels(len(self.upper)):
-            self.upper[: panel.start, panel] += other.upper[: panel.start, panel]
-        for corner, more in zip(self.corners, other.corners, strict=True):
-            corner += more
-        for name in ("Ay", "AT", "Ty", "TT", "yy"):
-            sums = getattr(self, name)
-            sums += getattr(other, name)
-        self.diagonal += other.diagonal
+        for field in fields(self):
+            total = getattr(self, field.name) + getattr(other, field.name)
+            setattr(self, field.name, total)
 
     def solve(
-        self, basis: OrthonormalBasis, alpha: float, F: Array
+        self, basis: OrthonormalBasis, alpha: float, *, overwrite: bool = False
     ) -> tuple[Array, Array, float]:
-        """Return the solution, with F as working memory.
-
-        Its lower triangle stays as it is. Where F is `upper`, the sums are lost.
+        """Return the solution; the sums are lost if they may be overwritten.
 
         Returns
         -------
@@ -144,37 +115,20 @@ class NormalEquations:
         b : ndarray of shape (n_terms, n_outputs)
             Coordinates of the polynomials.
         dof : float
-            Effective number of parameters: the trace of the matrix that takes y
-            to the fitted values.
+            Effective number of parameters: the trace of the matrix that takes y to
+            the fitted values.
         """
-        M, q = len(F), basis.Q.shape[1]
-        Ay, AT, Ty, TT = self.Ay, self.AT, self.Ty, self.TT
-        n_terms = len(TT)
-        lower_diagonal = F.diagonal().copy()
+        Q, AT, TT = basis.Q, self.AT, self.TT
+        M, q = Q.shape
         # Along Q there is nothing but rounding: a number of the size that the rest may
         # have, by |a(x)|^2 <= k(x, x), makes that part of the matrix regular.
         along_Q = self.diagonal / M or 1.0
-        trace = sum(float(np.trace(corner)) for corner in self.corners)
-        for panel, corner in zip(_panels(M), self.corners, strict=True):
-            if F is not self.upper:
-                F[: panel.start, panel] = self.upper[: panel.start, panel]
-            block = corner.copy()
-            if q:
-                product = along_Q * basis.Q[: panel.stop] @ basis.Q[panel].T
-                F[: panel.start, panel] += product[: panel.start]
-                block += product[panel.start :]
-            block[np.diag_indices_from(block)] += alpha
-            F[panel, panel] = np.triu(block) + np.tril(F[panel, panel], -1)
-
-        limit = min(MIN_RCOND, 1e-6 * basis.rcond_bound)
-        norm = trace + q * along_Q + M * alpha
-        try:
-            cholesky(F, lower=False)
-            is_regular = exact_rcond(F, norm, lower=False) >= limit
-        except np.linalg.LinAlgError:
-            is_regular = False
-        if not is_regular:
-            np.fill_diagonal(F, lower_diagonal)
+        N = self.AA if overwrite else self.AA.copy(order="F")
+        if q:
+            N = dsyrk(along_Q, Q, 1.0, N, lower=1, overwrite_c=1)
+        N[np.diag_indices(M)] += alpha
+        norm = float(np.trace(N))
+        if not _factor(N, norm, min(MIN_RCOND, 1e-6 * basis.rcond_bound)):
             if basis.rcond_bound < RCOND_TO_VERIFY:
                 raise np.linalg.LinAlgError(
                     "the normal matrix is not positive definite"
@@ -184,27 +138,26 @@ class NormalEquations:
                 f"determine the coefficients of {M} centres; set alpha > 0, or choose "
                 "fewer centres, nearer to the rows."
             )
-        solved, _ = dpotrs(F, np.hstack([AT, Ay]), lower=0)
-        N_AT, N_Ay = solved[:, :n_terms], solved[:, n_terms:]
+        solved, _ = dpotrs(N, np.hstack([AT, self.Ay]), lower=1)
+        N_AT, N_Ay = solved[:, :q], solved[:, q:]
         # In units in which every polynomial has length one on the rows. Those that the
         # rows do not distinguish from the kernel part, or at all, are left at zero.
         length = np.sqrt(TT.diagonal())
-        unit = np.divide(1.0, length, out=np.zeros(n_terms), where=length > 0)
+        unit = np.divide(1.0, length, out=np.zeros(q), where=length > 0)
         lengths, axes = np.linalg.eigh(unit[:, np.newaxis] * (TT - AT.T @ N_AT) * unit)
         determined = lengths > MIN_SQUARED_LENGTH
         axes = unit[:, np.newaxis] * axes[:, determined]
         inverse = axes / lengths[determined] @ axes.T
-        b = inverse @ (Ty - AT.T @ N_Ay)
+        b = inverse @ (self.Ty - AT.T @ N_Ay)
         z = N_Ay - N_AT @ b
-        z -= basis.Q @ (basis.Q.T @ z)
+        z -= Q @ (Q.T @ z)
 
         dof = float(determined.sum() + M - q)
         if alpha > 0:
-            dpotri(F, lower=0, overwrite_c=1)
-            shrunk = F.diagonal().sum() - q / (alpha + along_Q)
+            dpotri(N, lower=1, overwrite_c=1)
+            shrunk = np.trace(N) - q / (alpha + along_Q)
             shrunk += np.sum(inverse * (N_AT.T @ N_AT))
             dof -= float(alpha * shrunk)
-        np.fill_diagonal(F, lower_diagonal)
         return z, b, dof
 
     def residual_norms(self, z: Array, b: Array) -> Array:
@@ -213,11 +166,7 @@ class NormalEquations:
         The digits of the squares that it is a difference of limit it to about 1e-8 of
         the outputs.
         """
-        fitted = np.zeros_like(z)
-        for panel, corner in zip(_panels(len(z)), self.corners, strict=True):
-            block = self.upper[: panel.start, panel]
-            fitted[: panel.start] += block @ z[panel]
-            fitted[panel] += block.T @ z[: panel.start] + corner @ z[panel]
+        fitted = dsymm(1.0, self.AA, z, lower=1)
         squared = self.yy - np.einsum("ij,ij->j", z, 2 * self.Ay - fitted)
         rest = 2 * (self.Ty - self.AT.T @ z) - self.TT @ b
         squared -= np.einsum("ij,ij->j", b, rest)
@@ -233,24 +182,22 @@ def least_squares(
     n_jobs: int | None = None,
 ) -> tuple[Array, Array, float]:
     """Minimise |y - g(X)|^2 + alpha |g|_H^2; see `NormalEquations.solve`."""
-    F = basis.lower
-    equations = normal_equations(basis, F, X, y, n_outputs, n_jobs)
-    return equations.solve(basis, alpha, F)
+    equations = sum_normal_equations(basis, X, y, n_outputs, n_jobs)
+    return equations.solve(basis, alpha, overwrite=True)
 
 
-def normal_equations(
+def sum_normal_equations(
     basis: OrthonormalBasis,
-    upper: Array,
     X: Array,
     y: Outputs,
     n_outputs: int,
     n_jobs: int | None = None,
     parallel_operations: float = PARALLEL_OPERATIONS,
 ) -> NormalEquations:
-    """Sum up all rows; by joblib's workers, a share of the rows each, if asked."""
-    equations = NormalEquations.empty(basis, upper, n_outputs)
+    """Sum over all rows; by joblib's workers, a share of the rows each, if asked."""
+    equations = NormalEquations.empty(basis, n_outputs)
     n_workers = effective_n_jobs(n_jobs)
-    if n_workers == 1 or len(X) * len(upper) ** 2 < parallel_operations:
+    if n_workers == 1 or len(X) * len(basis.Q) ** 2 < parallel_operations:
         equations.add(basis, X, y)
         return equations
     try:
@@ -258,7 +205,7 @@ def normal_equations(
     except ValueError:  # not every backend returns its results one by one
         parallel = Parallel(n_jobs=n_jobs)
     parts = parallel(
-        delayed(_share)(basis, X[rows], y(rows))
+        delayed(_sum_share)(basis, X[rows], y(rows))
         for rows in gen_batches(len(X), -(-len(X) // n_workers))
     )
     for part in parts:
@@ -266,12 +213,16 @@ def normal_equations(
     return equations
 
 
-def _share(basis: OrthonormalBasis, X: Array, y: Array) -> NormalEquations:
-    upper = np.empty(basis.lower.shape, order="F")
-    equations = NormalEquations.empty(basis, upper, y.shape[1])
+def _sum_share(basis: OrthonormalBasis, X: Array, y: Array) -> NormalEquations:
+    equations = NormalEquations.empty(basis, y.shape[1])
     equations.add(basis, X, y.__getitem__)
     return equations
 
 
-def _panels(M: int) -> list[slice]:
-    return list(gen_batches(M, max(64, M // 32)))
+def _factor(N: Array, norm: float, min_rcond: float) -> bool:
+    """Factor a normal matrix in place, and tell whether that succeeded."""
+    try:
+        cholesky(N)
+    except np.linalg.LinAlgError:
+        return False
+    return exact_rcond(N, norm) >= min_rcond
