@@ -25,8 +25,8 @@ PIVOT_OPTIMISM = 1e4
 MAX_BYTES_FOR_THREADS = 2**31
 
 
-def cholesky(K: Array) -> Array:
-    """Factor the lower triangle of a matrix in place, and leave the upper one as it is.
+def cholesky(K: Array, *, lower: bool = True) -> Array:
+    """Factor one triangle of a matrix in place, and leave the other as it is.
 
     Raises
     ------
@@ -34,15 +34,15 @@ def cholesky(K: Array) -> Array:
         If the matrix is not numerically positive definite.
     """
     with one_thread() if K.nbytes >= MAX_BYTES_FOR_THREADS else nullcontext():
-        lower, info = lapack.dpotrf(K, lower=1, clean=0, overwrite_a=1)
+        factor, info = lapack.dpotrf(K, lower=int(lower), clean=0, overwrite_a=1)
     if info != 0:
         raise np.linalg.LinAlgError("the matrix is not positive definite")
-    return lower
+    return factor
 
 
-def exact_rcond(lower: Array, norm: float) -> float:
+def exact_rcond(factor: Array, norm: float, *, lower: bool = True) -> float:
     """Estimate the reciprocal condition number in the 1-norm from a Cholesky factor."""
-    return float(lapack.dpocon(lower, norm, uplo="L")[0])
+    return float(lapack.dpocon(factor, norm, uplo="L" if lower else "U")[0])
 
 
 def factorize(K: Array, norm: float) -> tuple[Array, float]:

@@ -198,19 +198,21 @@ class GrowingLeastSquares:
     def over(cls, system: DirectSystem, X: Array, y: Array) -> GrowingLeastSquares:
         """Start with the first rows."""
         check_trend_determined(system.trend, len(system.kept))
-        equations = NormalEquations.empty(system, y.shape[1])
+        equations = NormalEquations.empty(system, system.lower, y.shape[1])
         equations.add(system, X, y.__getitem__)
         return cls(system, equations, len(X))
 
     def add(self, X: Array, y: Array, alpha: float) -> Fit:
         """Add rows and return `fit`; if there is none, the rows do not count."""
-        before = self.n_rows, self.equations.copy()
+        n_rows, before = self.n_rows, self.equations.copy()
         try:
             self.equations.add(self.system, X, y.__getitem__)
             self.n_rows += len(X)
             return self.fit(X, alpha)
         except ValueError:  # of linear algebra, too
-            self.n_rows, self.equations = before
+            np.copyto(self.equations.upper, before.upper)
+            before.upper = self.equations.upper
+            self.n_rows, self.equations = n_rows, before
             raise
 
     def fit(self, X: Array, alpha: float) -> Fit:
@@ -223,7 +225,8 @@ class GrowingLeastSquares:
         """
         system = self.system
         check_rows_suffice(self.n_rows, len(system.kept), alpha)
-        z, b, dof = self.equations.solve(system, alpha)
+        F = np.empty_like(system.lower)
+        z, b, dof = self.equations.solve(system, alpha, F)
         norms = self.equations.residual_norms(z, b)
         noise_std = scale_residuals(norms, self.n_rows, dof)
         return system.fit_at(X, z, b, dof)._replace(noise_std=noise_std)

@@ -11,9 +11,10 @@ of which z is eliminated. Their sums over rows can be extended and added up.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -61,9 +62,14 @@ class OrthonormalBasis(Protocol):
 
 @dataclass
 class NormalEquations:
-    """Sums over rows."""
+    """Sums over rows.
 
-    AA: Array  # (M, M) in Fortran order, its lower triangle only
+    A A^T lies above the diagonal of an array that may be the Cholesky factor of the
+    basis, which leaves that part unused: so memory stays at one M x M matrix.
+    """
+
+    upper: Array  # (M, M) in Fortran order
+    squares: Array  # (M,): the diagonal of A A^T
     Ay: Array
     AT: Array
     Ty: Array
@@ -72,12 +78,16 @@ class NormalEquations:
     diagonal: float  # sum of k(x, x)
 
     @classmethod
-    def empty(cls, basis: OrthonormalBasis, n_outputs: int) -> NormalEquations:
+    def empty(
+        cls, basis: OrthonormalBasis, upper: Array, n_outputs: int
+    ) -> NormalEquations:
         """Return the sums over no rows."""
         M, q = basis.Q.shape
-        AA, Ay = np.zeros((M, M), order="F"), np.zeros((M, n_outputs))
-        Ty, TT = np.zeros((q, n_outputs)), np.zeros((q, q))
-        return cls(AA, Ay, np.zeros((M, q)), Ty, TT, np.zeros(n_outputs), 0.0)
+        for column in range(1, M):
+            upper[:column, column] = 0.0
+        Ay, Ty = np.zeros((M, n_outputs)), np.zeros((q, n_outputs))
+        AT, TT = np.zeros((M, q)), np.zeros((q, q))
+        return cls(upper, np.zeros(M), Ay, AT, Ty, TT, np.zeros(n_outputs), 0.0)
 
     def copy(self) -> NormalEquations:
         """Return a copy that shares nothing."""
@@ -85,10 +95,11 @@ class NormalEquations:
 
     def add(self, basis: OrthonormalBasis, X: Array, y: Outputs) -> None:
         """Add rows."""
-        for rows in gen_batches(len(X), rows_per_block(len(self.AA))):
+        for rows in gen_batches(len(X), rows_per_block(len(self.upper))):
             a, t = basis.design(X[rows])
             values = y(rows)
-            self.AA = dsyrk(1.0, a, 1.0, self.AA, lower=1, overwrite_c=1)
+            with _diagonal(self.upper, self.squares):
+                dsyrk(1.0, a, 1.0, self.upper, overwrite_c=1)
             self.Ay += dgemm(1.0, a, values)
             if len(t):
                 self.AT += dgemm(1.0, a, t, trans_b=1)
@@ -99,14 +110,17 @@ class NormalEquations:
 
     def merge(self, other: NormalEquations) -> None:
         """Add the sums over other rows."""
-        for field in fields(self):
-            total = getattr(self, field.name) + getattr(other, field.name)
-            setattr(self, field.name, total)
+        for column in range(1, len(self.upper)):
+            self.upper[:column, column] += other.upper[:column, column]
+        for name in ("squares", "Ay", "AT", "Ty", "TT", "yy", "diagonal"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
 
     def solve(
-        self, basis: OrthonormalBasis, alpha: float, *, overwrite: bool = False
+        self, basis: OrthonormalBasis, alpha: float, F: Array
     ) -> tuple[Array, Array, float]:
-        """Return the solution; the sums are lost if they may be overwritten.
+        """Return the solution, with F as working memory.
+
+        Its lower triangle stays as it is. Where F is `upper`, the sums are lost.
 
         Returns
         -------
@@ -118,17 +132,24 @@ class NormalEquations:
             Effective number of parameters: the trace of the matrix that takes y to
             the fitted values.
         """
+        with _diagonal(F, self.squares.copy()):
+            if F is not self.upper:
+                for column in range(1, len(F)):
+                    F[:column, column] = self.upper[:column, column]
+            return self._solve(basis, alpha, F)
+
+    def _solve(
+        self, basis: OrthonormalBasis, alpha: float, N: Array
+    ) -> tuple[Array, Array, float]:
         Q, AT, TT = basis.Q, self.AT, self.TT
         M, q = Q.shape
         # Along Q there is nothing but rounding: a number of the size that the rest may
         # have, by |a(x)|^2 <= k(x, x), makes that part of the matrix regular.
         along_Q = self.diagonal / M or 1.0
-        N = self.AA if overwrite else self.AA.copy(order="F")
         if q:
-            N = dsyrk(along_Q, Q, 1.0, N, lower=1, overwrite_c=1)
+            dsyrk(along_Q, Q, 1.0, N, overwrite_c=1)
         N[np.diag_indices(M)] += alpha
-        norm = float(np.trace(N))
-        if not _factor(N, norm, min(MIN_RCOND, 1e-6 * basis.rcond_bound)):
+        if not _factor(N, min(MIN_RCOND, 1e-6 * basis.rcond_bound)):
             if basis.rcond_bound < RCOND_TO_VERIFY:
                 raise np.linalg.LinAlgError(
                     "the normal matrix is not positive definite"
@@ -138,7 +159,7 @@ class NormalEquations:
                 f"determine the coefficients of {M} centres; set alpha > 0, or choose "
                 "fewer centres, nearer to the rows."
             )
-        solved, _ = dpotrs(N, np.hstack([AT, self.Ay]), lower=1)
+        solved, _ = dpotrs(N, np.hstack([AT, self.Ay]), lower=0)
         N_AT, N_Ay = solved[:, :q], solved[:, q:]
         # In units in which every polynomial has length one on the rows. Those that the
         # rows do not distinguish from the kernel part, or at all, are left at zero.
@@ -154,7 +175,7 @@ class NormalEquations:
 
         dof = float(determined.sum() + M - q)
         if alpha > 0:
-            dpotri(N, lower=1, overwrite_c=1)
+            dpotri(N, lower=0, overwrite_c=1)
             shrunk = np.trace(N) - q / (alpha + along_Q)
             shrunk += np.sum(inverse * (N_AT.T @ N_AT))
             dof -= float(alpha * shrunk)
@@ -166,7 +187,8 @@ class NormalEquations:
         The digits of the squares that it is a difference of limit it to about 1e-8 of
         the outputs.
         """
-        fitted = dsymm(1.0, self.AA, z, lower=1)
+        with _diagonal(self.upper, self.squares):
+            fitted = dsymm(1.0, self.upper, z)
         squared = self.yy - np.einsum("ij,ij->j", z, 2 * self.Ay - fitted)
         rest = 2 * (self.Ty - self.AT.T @ z) - self.TT @ b
         squared -= np.einsum("ij,ij->j", b, rest)
@@ -182,12 +204,14 @@ def least_squares(
     n_jobs: int | None = None,
 ) -> tuple[Array, Array, float]:
     """Minimise |y - g(X)|^2 + alpha |g|_H^2; see `NormalEquations.solve`."""
-    equations = sum_normal_equations(basis, X, y, n_outputs, n_jobs)
-    return equations.solve(basis, alpha, overwrite=True)
+    F = basis.lower
+    equations = sum_normal_equations(basis, F, X, y, n_outputs, n_jobs)
+    return equations.solve(basis, alpha, F)
 
 
 def sum_normal_equations(
     basis: OrthonormalBasis,
+    upper: Array,
     X: Array,
     y: Outputs,
     n_outputs: int,
@@ -195,7 +219,7 @@ def sum_normal_equations(
     parallel_operations: float = PARALLEL_OPERATIONS,
 ) -> NormalEquations:
     """Sum over all rows; by joblib's workers, a share of the rows each, if asked."""
-    equations = NormalEquations.empty(basis, n_outputs)
+    equations = NormalEquations.empty(basis, upper, n_outputs)
     n_workers = effective_n_jobs(n_jobs)
     if n_workers == 1 or len(X) * len(basis.Q) ** 2 < parallel_operations:
         equations.add(basis, X, y)
@@ -214,15 +238,29 @@ def sum_normal_equations(
 
 
 def _sum_share(basis: OrthonormalBasis, X: Array, y: Array) -> NormalEquations:
-    equations = NormalEquations.empty(basis, y.shape[1])
+    upper = np.empty(basis.lower.shape, order="F")
+    equations = NormalEquations.empty(basis, upper, y.shape[1])
     equations.add(basis, X, y.__getitem__)
     return equations
 
 
-def _factor(N: Array, norm: float, min_rcond: float) -> bool:
-    """Factor a normal matrix in place, and tell whether that succeeded."""
+@contextmanager
+def _diagonal(F: Array, diagonal: Array) -> Iterator[None]:
+    """Give the upper triangle of an array a diagonal apart from that of the lower."""
+    lower = F.diagonal().copy()
+    np.fill_diagonal(F, diagonal)
     try:
-        cholesky(N)
+        yield
+    finally:
+        diagonal[:] = F.diagonal()
+        np.fill_diagonal(F, lower)
+
+
+def _factor(N: Array, min_rcond: float) -> bool:
+    """Factor a normal matrix in place, and return whether it is regular."""
+    norm = float(np.trace(N))
+    try:
+        cholesky(N, lower=False)
     except np.linalg.LinAlgError:
         return False
-    return exact_rcond(N, norm) >= min_rcond
+    return exact_rcond(N, norm, lower=False) >= min_rcond
