@@ -43,7 +43,13 @@ from sklearn_koopman._regression._partial_fit import (
 )
 from sklearn_koopman._utils._rows import AveragedOutputs, average_equal_rows
 from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman._utils._validation import check_distances, check_parameters
+from sklearn_koopman._utils._validation import (
+    MAX_MAGNITUDE,
+    MIN_MAGNITUDE,
+    check_distances,
+    check_magnitude,
+    check_parameters,
+)
 from sklearn_koopman.centers import choose_centers, rows_at_distance_zero
 from sklearn_koopman.kernels import as_kernel
 from sklearn_koopman.solvers import ConjugateGradient, check_solver
@@ -295,10 +301,7 @@ default="auto"
             If conjugate gradients ended above their tolerance, by more than rounding.
         """
         given = X
-        X, y = check_X_y(
-            X, y, multi_output=True, y_numeric=True, dtype=np.float64, estimator=self
-        )
-        y = np.asarray(y, dtype=np.float64)
+        X, y = self._check_data(X, y)
         self._check_parameters()
         sections, rows, averages = self._resolve_centers(X, y)
         outputs, degree = y.reshape(len(y), -1), DEGREES[self.trend]
@@ -384,10 +387,7 @@ default="auto"
         given = X
         if started:
             validate_data(self, given, reset=False, skip_check_array=True)
-        X, y = check_X_y(
-            X, y, multi_output=True, y_numeric=True, dtype=np.float64, estimator=self
-        )
-        y = np.asarray(y, dtype=np.float64)
+        X, y = self._check_data(X, y)
         self._check_parameters()
         if started and y.shape[1:] != self.dual_coef_.shape[1:]:
             raise ValueError(
@@ -625,6 +625,15 @@ default="auto"
     def _interpolates_centers(self) -> bool:
         # Least squares over the sections of all rows is interpolation with alpha.
         return self.method == "interpolation" or self.centers is None
+
+    def _check_data(self, X: Any, y: Any) -> tuple[Array, Array]:
+        X, y = check_X_y(
+            X, y, multi_output=True, y_numeric=True, dtype=np.float64, estimator=self
+        )
+        y = np.asarray(y, dtype=np.float64)
+        if not MIN_MAGNITUDE <= np.abs(y).max() <= MAX_MAGNITUDE:
+            check_magnitude(y, name="y")
+        return X, y
 
     def _check_parameters(self) -> None:
         choices = {"method": METHODS, "trend": DEGREES, "solver": SOLVERS}

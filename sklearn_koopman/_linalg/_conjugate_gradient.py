@@ -51,10 +51,7 @@ def conjugate_gradients(
     def project(v: Array) -> Array:
         return complement(P, v)
 
-    # In units of the largest values: the squares of others may not fit in a double.
-    unit = np.abs(b).max(axis=0, initial=0.0)
-    unit[unit == 0] = 1.0
-    b = beyond_rounding(b / unit, P)
+    b = beyond_rounding(b, P)
     size = np.linalg.norm(b, axis=0)
     x = np.zeros_like(b)
     residual, best = b, np.full(b.shape[1], np.inf)
@@ -70,9 +67,7 @@ def conjugate_gradients(
             growth = np.divide(length, size, out=np.zeros_like(size), where=size > 0)
             rounding = ROUNDING_SAFETY * np.sqrt(len(b)) * np.finfo(b.dtype).eps
             rounding *= matrix_norm * growth.max(initial=0.0)
-            return CGResult(
-                x * unit, n_iter, float(reached.max(initial=0.0)), float(rounding)
-            )
+            return CGResult(x, n_iter, float(reached.max(initial=0.0)), float(rounding))
         step, taken, quotient = _descend(
             lambda v: project(product(v)),
             residual[:, unmet],

@@ -18,7 +18,7 @@ from sklearn_koopman._linalg._fit import (
     scale_residuals,
 )
 from sklearn_koopman._linalg._least_squares import NormalEquations
-from sklearn_koopman._linalg._systems import DirectSystem, column_norms
+from sklearn_koopman._linalg._systems import DirectSystem
 from sklearn_koopman._matrices._polynomial import PolynomialTrend
 from sklearn_koopman._matrices._sections import KernelSections, gram_matrix, matrix
 from sklearn_koopman._utils._typing import Array
@@ -107,7 +107,7 @@ class GrowingSystem(DirectSystem):
             reached = expansion(self.sections.points[rows])
             reached += self.excess[rows, np.newaxis] * expansion.dual_coef[rows]
             self._verify(relative_error(reached, u[rows]))
-        return Fit(expansion, column_norms(z), len(z))
+        return Fit(expansion, np.linalg.norm(z, axis=0), len(z))
 
     def rcond(self) -> float:
         """Bound the reciprocal condition number from above, by the pivots."""

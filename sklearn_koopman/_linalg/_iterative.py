@@ -148,7 +148,7 @@ class IterativeSystem:
             values = self.Q.T @ (u - self.product(found.x))
             trend_coef = self.trend.coefficients @ values
         # c^T K c, since c is orthogonal to the polynomials.
-        seminorm = _root_of_product(found.x, u)
+        seminorm = np.sqrt(np.maximum(np.einsum("ij,ij->j", found.x, u), 0.0))
         dof = len(self.kept)
         return self._fit(found, found.x, trend_coef, seminorm, dof)
 
@@ -227,7 +227,8 @@ class IterativeSystem:
             probes = slice(n_outputs, None)
             trace = np.einsum("ij,ij->", b[:, probes], found.x[:, probes])
             kernel_dof = float(trace) / n_probes
-        seminorm = _root_of_product(dual_coef, self.product(dual_coef))
+        squared = np.einsum("ij,ij->j", dual_coef, self.product(dual_coef))
+        seminorm = np.sqrt(np.maximum(squared, 0.0))
         dof = kernel_dof + T.shape[1]
         fit = self._fit(found, dual_coef, trend_coef, seminorm, dof)
         noise_std = estimate_noise(fit.expansion, X, y, dof, n_jobs)
@@ -367,14 +368,6 @@ class IterativeSystem:
         # Weights that have diverged are worse than those at first.
         quadratic = np.fmin(quadratic, at_first)
         return np.maximum(self.sections.diagonal(X) + quadratic, 0.0), found
-
-
-def _root_of_product(v: Array, w: Array) -> Array:
-    """Return the root of v^T w for every column, in units that do not overflow."""
-    a, b = (np.abs(x).max(axis=0, initial=0.0) for x in (v, w))
-    a[a == 0], b[b == 0] = 1.0, 1.0
-    inner = np.einsum("ij,ij->j", v / a, w / b)
-    return np.sqrt(np.maximum(inner, 0.0)) * np.sqrt(a) * np.sqrt(b)
 
 
 def _dense_root(sections: KernelSections) -> Array:

@@ -22,7 +22,7 @@ from typing import Protocol, TypeVar, cast
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.linalg.blas import dgemm, dnrm2
+from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dpocon, dtrtri
 from sklearn.base import clone
 
@@ -249,7 +249,7 @@ class DirectSystem:
                 reached = expansion(self.sections.points)
                 reached += self.excess[:, np.newaxis] * expansion.dual_coef
                 self._verify(relative_error(reached, u[self.kept]))
-            return Fit(expansion, column_norms(z), len(self.kept))
+            return Fit(expansion, np.linalg.norm(z, axis=0), len(self.kept))
 
         return self.until_sound(attempt, negligible)
 
@@ -284,7 +284,7 @@ class DirectSystem:
             rows = X[:: max(len(X) // VERIFIED_ROWS, 1)]
             a, t = self.design(rows)
             self._verify(relative_error(expansion(rows), a.T @ z + t.T @ b))
-        return Fit(expansion, column_norms(z), dof)
+        return Fit(expansion, np.linalg.norm(z, axis=0), dof)
 
     def fit_coordinates(
         self, X: Array, y: Array, alpha: float, n_jobs: int | None = None
@@ -456,8 +456,3 @@ def _attempt(function: Callable[[], T]) -> tuple[T | None, str]:
         return function(), ""
     except np.linalg.LinAlgError as error:
         return None, str(error)
-
-
-def column_norms(A: Array) -> Array:
-    """Return the Euclidean norms of the columns; the squares may overflow."""
-    return np.array([dnrm2(column) for column in A.T])
