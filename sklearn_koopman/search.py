@@ -1,37 +1,41 @@
-"""Cross-validated choice of the kernel and its scale, without refitting."""
+"""Cross-validated choice of the kernel, its scale and the weight of the penalty."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Sequence
+from contextlib import nullcontext
 from functools import partial
 from itertools import product
 from typing import Any
 
 import numpy as np
 from joblib import effective_n_jobs
+from scipy.linalg import LinAlgWarning
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
 from sklearn.exceptions import FitFailedWarning
 from sklearn.frozen import FrozenEstimator
 from sklearn.metrics import check_scoring
-from sklearn.model_selection import LeaveOneOut, check_cv
+from sklearn.model_selection import LeaveOneOut, ParameterGrid, check_cv
 from sklearn.utils import check_X_y
 from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman._linalg._leave_out import Fold
 from sklearn_koopman._matrices._polynomial import DEGREES
 from sklearn_koopman._regression._candidates import (
-    HeldOut,
-    Outcome,
-    Search,
-    scores_of_folds,
-    tabulated,
+    IdentityRegressor,
+    Problem,
+    Split,
+    score,
+    tabulate,
 )
 from sklearn_koopman._utils._parallel import one_thread
+from sklearn_koopman._utils._rows import distinct_rows
 from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_number
-from sklearn_koopman.kernels import RadialKernel, as_kernel
+from sklearn_koopman._utils._validation import check_choice, check_number
+from sklearn_koopman._utils._warnings import warn
+from sklearn_koopman.centers import choose_centers
+from sklearn_koopman.kernels import as_kernel
 from sklearn_koopman.regression import KoopmanKernelRegressor
 
 __all__ = ["KoopmanKernelRegressorCV"]
@@ -40,68 +44,77 @@ __all__ = ["KoopmanKernelRegressorCV"]
 class KoopmanKernelRegressorCV(MultiOutputMixin, RegressorMixin, BaseEstimator):
     """Kernel estimate of the Koopman operator with built-in cross-validation.
 
-    Chooses the kernel, its scale `beta` and the weight `alpha` of a
-    :class:`KoopmanKernelRegressor` by predictions of held-out rows, and refits the
-    winner to all rows. The predictions are those of refits, but come from closed
-    forms: one matrix serves all values of `alpha`, and one factorisation many folds.
+    This estimator chooses the kernel, its scale `beta` and the weight `alpha` of a
+    :class:`KoopmanKernelRegressor` by the errors of its predictions of held-out rows,
+    and fits the winner to all rows. The scores are those of a
+    :class:`~sklearn.model_selection.GridSearchCV` with the same centres, but the
+    held-out predictions come from a closed form: one factorisation for each kernel,
+    scale and weight serves all folds.
 
     Parameters
     ----------
     kernels : sequence of str or Kernel, default=("matern32",)
-        The kernels to choose from, each as `kernel` of
+        The kernels to choose from. Each is a `kernel` of
         :class:`KoopmanKernelRegressor`.
     betas : sequence of float or None, default=(0.1, 1.0, 10.0)
-        The scales to choose from. None, alone or in the list, leaves that of the
-        kernel object, as kernels from elsewhere need.
+        The scales to choose from, in the unit of the states. None, alone or in the
+        list, keeps the scale of the kernel object. Kernels that are not of
+        :mod:`sklearn_koopman.kernels` need None.
     alphas : sequence of float, default=(0.0,)
-        The weights of the squared native-space norm to choose from.
+        The weights of the squared native norm (the norm of the function space that
+        belongs to the kernel) to choose from.
     centers : None, array-like of shape (n_centers, n_features) or estimator, \
 default=None
-        Where the kernel sections are centred, as in
+        The centres of the kernel sections (the functions k(., center)), as in
         :class:`KoopmanKernelRegressor`. An estimator is fitted once, to all rows, and
-        its centres are those of every fold (for interpolation: those of them that are
-        training rows).
+        every fold uses its centres. Interpolation needs the outputs of its centres,
+        and therefore uses those centres that are training rows of the fold.
     method : {"interpolation", "least_squares"}, default="interpolation"
-        Which outputs the estimate is made from.
+        Whether the estimate interpolates the outputs at the centres or fits the
+        outputs of all rows.
     trend : {None, "constant", "linear"}, default=None
-        Polynomial tail that is solved for together with the kernel part.
+        Polynomial that is estimated together with the kernel part.
     solver : {"auto", "pivoted_cholesky", "cholesky"}, default="auto"
-        What happens where the Gram matrix is not numerically positive definite:
-        dependent centres are left out, of all folds, or the candidate fails.
+        What happens where the matrix of the centres is not numerically positive
+        definite. "cholesky" lets the candidate fail. The others leave out centres
+        that are linearly dependent on the others; all folds then use the centres
+        that an estimate from all rows would keep. Held-out predictions always come
+        from dense matrices; only the winner is fitted with `solver` as it is.
     scoring : str or callable, default=None
         How held-out predictions are scored; larger is better. A name or a scorer of
-        scikit-learn, which gets an estimator that returns the predictions. None means
-        the negative mean squared error for leave-one-out, and otherwise R^2, averaged
-        over the outputs.
+        scikit-learn. The scorer gets an estimator that returns the held-out
+        predictions. None means the negative mean squared error for leave-one-out, in
+        the squared unit of the outputs, and otherwise R^2, averaged over the outputs.
     cv : int, cross-validation splitter or iterable, default=None
         How rows are held out.
 
-        - None: one by one, and all predictions are scored together. Rows next to each
-          other on a trajectory tell each other's outputs: this flatters a model unless
-          rows are independent.
+        - None: one row at a time (leave-one-out). The predictions of all rows are
+          scored together. Neighbours on a trajectory have similar outputs, so that
+          these scores are too good unless the rows are independent.
         - int: that many folds of consecutive rows.
         - a splitter, such as :class:`~sklearn_koopman.TrajectoryKFold`, or an
           iterable of pairs of training and test rows. Every fold is scored, and the
-          scores averaged.
+          scores are averaged.
     n_jobs : int, default=None
-        Number of threads: for kernels and scales in `fit`, each with a matrix of its
-        own and with BLAS held to one thread, and for predictions. Where SciPy's LAPACK
-        keeps other threads waiting, None is the faster for `fit`: it means 1, and
-        BLAS with its own threads, unless in a :obj:`joblib.parallel_config` context.
-        -1 means all processors.
+        Number of threads. `fit` distributes the kernels and scales among them, each
+        with matrices of its own, and limits BLAS to one thread; `predict` distributes
+        the rows. None means 1 unless in a :obj:`joblib.parallel_config` context, and
+        leaves BLAS its own threads, which is faster in `fit` where SciPy's LAPACK
+        uses a lock. -1 means all processors.
 
     Attributes
     ----------
     best_kernel_ : str or Kernel
-        The kernel chosen, as given in `kernels`.
+        The chosen kernel, as given in `kernels`.
     best_beta_ : float or None
-        The scale chosen, as given in `betas`.
+        The chosen scale, as given in `betas`.
     best_alpha_ : float
-        The weight chosen.
+        The chosen weight.
     best_score_ : float
-        Its score: of all rows for leave-one-out, otherwise the mean over the folds.
+        The score of the winner: of all rows for leave-one-out, and otherwise the mean
+        over the folds.
     best_index_ : int
-        Its place in `cv_results_`.
+        The place of the winner in the arrays of `cv_results_`.
     best_estimator_ : KoopmanKernelRegressor
         The winner, fitted to all rows.
     cv_results_ : dict of ndarrays
@@ -109,65 +122,77 @@ default=None
         :class:`~sklearn.model_selection.GridSearchCV`, for example for a
         `pandas.DataFrame`: "params", "param_kernel", "param_beta", "param_alpha",
         "mean_test_score", "std_test_score", "rank_test_score", and
-        "split0_test_score" and so on except for leave-one-out. NaN where a candidate
-        has no estimate.
+        "split0_test_score" and so on except for leave-one-out. The score of a
+        candidate without an estimate is nan.
     center_indices_ : ndarray of shape (n_centers,) or None
-        The rows of `X` that are centres, as in `best_estimator_`; None for centres
-        given from elsewhere.
+        The rows of `X` that are centres, as in `best_estimator_`; None if the centres
+        are not known to be rows.
     centers_ : ndarray of shape (n_centers, n_features)
-        The centres.
+        The centres, in the unit of the states.
     dual_coef_ : ndarray of shape (n_centers,) or (n_centers, n_outputs)
-        Coefficients of the kernel sections.
+        Coefficients of the kernel sections, in the unit of the outputs.
     trend_coef_ : ndarray of shape (1 + n_features,) or (1 + n_features, n_outputs)
-        Coefficients of the tail. Only with a `trend`.
+        Coefficients of the polynomial. Only with a `trend`; only the constant for
+        ``trend="constant"``.
     kernel_ : Kernel
         The kernel, with its scale and dimension.
     signal_std_ : float or ndarray of shape (n_outputs,)
-        Scale of the outputs in terms of the kernel.
+        Scale of the outputs in terms of the kernel, in the unit of the outputs.
     noise_std_ : float or ndarray of shape (n_outputs,)
-        Standard deviation of the outputs about the estimate.
-    rcond_ : float
-        Estimate of the reciprocal condition number of the matrix that was factored.
+        Standard deviation of the outputs about the estimate, in their unit.
     n_features_in_ : int
         Number of features seen during `fit`.
     feature_names_in_ : ndarray of shape (n_features_in_,)
-        Names of the features, where `X` had string names.
+        Names of the features, if `X` had names that are strings.
 
     See Also
     --------
     KoopmanKernelRegressor : The estimate itself; its attributes are described there.
     sklearn_koopman.TrajectoryKFold : Holds out whole trajectories, or blocks of one.
-    sklearn.linear_model.RidgeCV : The same for linear models.
+    sklearn.linear_model.RidgeCV : The same for linear models, with leave-one-out.
 
     Notes
     -----
-    For interpolation with A = (K + alpha I)^-1, bordered by the trend if there is
-    one, the residuals of the rows S of a fold that are centres are
+    *Interpolation.* Let K be the matrix of the kernel at the centres, u their outputs
+    and A = (K + alpha I)^-1; with a trend, A is the upper left block of the inverse
+    of the matrix that is bordered by the polynomials. The residuals of the centres S
+    in a fold, predicted by the other centres, are
 
     .. math:: u_S - \\hat u_S = (A_{SS})^{-1} (A u)_S
 
-    ([1]_ for single rows; [4]_, Section 5.4.2): they come from columns of the inverse
-    of the Cholesky factor. For least squares with the hat matrix H they are
+    ([1]_ for single rows; [4]_, Section 5.4.2). The Cholesky factor of K + alpha I is
+    inverted once for each alpha, and gives A_SS for all folds.
+
+    *Least squares.* The basis functions are orthonormal in the native space of the
+    kernel. With their values F on all rows and the penalty matrix E, the normal
+    matrix is F F^T + E and the hat matrix, which takes outputs to fitted values, is
+    H = F^T (F F^T + E)^-1 F. There are two ways to the predictions of a fold. The
+    normal matrix of the training rows is summed up and factored if the fold leaves
+    out more than M / 2 rows; otherwise the residuals of the rows S that it leaves out
+    are
 
     .. math:: y_S - \\hat y_S = (I - H_{SS})^{-1} (y - H y)_S,
 
-    Allen's PRESS [3]_, which [2]_ compares with its rotation-invariant form. The hat
-    matrix comes from one factorisation for every alpha, or one eigendecomposition for
-    all. For few large folds it takes fewer operations to factor what every fold
-    leaves of the matrix; `fit` counts them and does what is cheaper. Where rounding
-    would spoil a closed form, that fold is refitted.
+    Allen's PRESS [3]_, which [2]_ compares with its rotation-invariant form.
 
-    The centres are those of all rows, where a search with refits would choose them
-    anew among the training rows of each fold: their choice sees the states of
-    held-out rows, but no outputs. For interpolation a selector's centres leave gaps
-    where a fold takes some of them away, which other training rows would have filled:
-    scores are then lower than those of refits that choose anew. Equal rows count as
-    in :class:`KoopmanKernelRegressor`, and a fold may take some of them away.
+    *Refits.* A fold is predicted by a refit of the regressor if the closed form does
+    not apply to it, or is not accurate enough: if equal rows are centres and only some
+    of them are held out, if the other rows do not determine the trend, or if the
+    small system of the fold is so badly conditioned that more than 1e-9 of its
+    residuals would be rounding. With leave-one-out and equal rows that means a refit
+    for each of them.
 
-    With M centres and n rows, memory is two matrices of max(n, M) x M (distances and
-    kernel; just M x M for interpolation where every row is a centre) and a few of
-    M x M; for least squares two more of n x M. Each thread has its own, other than
-    the distances.
+    *Centres.* A selector is fitted once to all rows, so the centres depend on the
+    states (not the outputs) of the held-out rows. For interpolation, a fold drops the
+    centres that it holds out; the scores are therefore slightly lower than those of a
+    `GridSearchCV`, which selects new centres in each fold.
+
+    *Costs.* With M centres and n rows, interpolation takes O(M^3) operations for each
+    kernel, scale and alpha, of which the folds take O(M |S|^2) each. Least squares
+    takes O(n M^2) for each kernel and scale, and for each alpha O(M^3) a fold that
+    leaves out more than M / 2 rows, and O(n M^2 + M |S|^2) for all others. Memory is
+    one matrix of n x M (M x M for interpolation where every row is a centre) and a
+    few of M x M; for least squares two more of n x M. Each thread has its own.
 
     References
     ----------
@@ -254,6 +279,9 @@ default=None
             If some candidates have no estimate on all folds.
         LinAlgWarning
             If the winner has lost dependent centres, and that may matter.
+        ConvergenceWarning
+            If conjugate gradients, which ``solver="auto"`` takes for a winner with
+            many centres, have not reached their tolerance.
         """
         given = X
         X, y = check_X_y(
@@ -261,55 +289,40 @@ default=None
         )
         y = np.asarray(y, dtype=np.float64)
         self._check_parameters()
-        kernels, betas = list(self.kernels), self._betas()
+        kernels = list(self.kernels)
+        betas = [None] if self.betas is None else list(self.betas)
         alphas = [float(alpha) for alpha in self.alphas]
         candidates = [
             as_kernel(kernel, beta, X.shape[1])
-            for kernel, beta in product(kernels, betas)
+            for beta, kernel in product(betas, kernels)
         ]
-        scorer = check_scoring(HeldOut(), scoring=self.scoring)
-        folds = self._folds(X, y, groups)
+        scorer = check_scoring(IdentityRegressor(), scoring=self.scoring)
+        splits = self._splits(X, y, groups)
         centers = self.centers
         if hasattr(centers, "fit") and not isinstance(centers, type):
             # Fitted once: the winner has the centres that it was chosen with.
             centers = FrozenEstimator(clone(centers).fit(X, y))
-        outputs = y.reshape(len(y), -1)
-        search = Search.of(
-            X,
-            outputs,
-            centers,
-            folds,
-            interpolates=self.method == "interpolation",
-            degree=DEGREES[self.trend],
-            drop_dependent=self.solver != "cholesky",
-        )
-        if search.interpolates:
-            self._check_folds(search)
-        radial = any(isinstance(kernel, RadialKernel) for kernel in candidates)
-        distances = search.distances() if radial else None
+        problem = self._problem(X, y.reshape(len(y), -1), centers, splits)
 
-        run = partial(self._scored, search, scorer, y, alphas, distances)
-        if effective_n_jobs(self.n_jobs) == 1:
-            scored = [run(kernel) for kernel in candidates]
-        else:
-            with one_thread():
+        run = partial(self._scored, problem, scorer, y, alphas)
+        with warnings.catch_warnings():
+            # Refits may lose dependent centres; the winner warns if it does.
+            warnings.simplefilter("ignore", LinAlgWarning)
+            many = effective_n_jobs(self.n_jobs) > 1
+            with one_thread() if many else nullcontext():
                 scored = Parallel(n_jobs=self.n_jobs, prefer="threads")(
                     delayed(run)(kernel) for kernel in candidates
                 )
-        params, outcomes = [], []
         # In the order of GridSearchCV, so that it chooses among equals as that does.
-        for (a, alpha), (b, beta), (k, kernel) in product(
-            enumerate(alphas), enumerate(betas), enumerate(kernels)
-        ):
-            params.append({"alpha": alpha, "beta": beta, "kernel": kernel})
-            outcomes.append(scored[k * len(betas) + b][a])
-        results, failed = tabulated(params, outcomes, pooled=self.cv is None)
+        grid = {"alpha": alphas, "beta": betas, "kernel": kernels}
+        params = list(ParameterGrid(grid))
+        outcomes = [own[a] for a in range(len(alphas)) for own in scored]
+        results, failed = tabulate(params, outcomes, has_splits=self.cv is not None)
         if failed:
-            warnings.warn(
+            warn(
                 f"{len(failed)} of {len(params)} candidates have no estimate on all "
                 f"folds and the score nan: {'; '.join(failed)}",
                 FitFailedWarning,
-                stacklevel=2,
             )
         best = int(results["rank_test_score"].argmin())
         estimator = KoopmanKernelRegressor(
@@ -321,8 +334,10 @@ default=None
             n_jobs=self.n_jobs,
         ).fit(given, y)
         # Attributes are set last: a fit that fails leaves the estimator as it was.
-        validate_data(self, given, y, skip_check_array=True)
-        self.__dict__.pop("trend_coef_", None)
+        for name in [name for name in vars(self) if name.endswith("_")]:
+            delattr(self, name)
+        fitted = {k: v for k, v in vars(estimator).items() if k.endswith("_")}
+        self.__dict__.update(fitted)
         self.cv_results_ = results
         self.best_index_ = best
         self.best_kernel_ = params[best]["kernel"]
@@ -330,10 +345,16 @@ default=None
         self.best_alpha_ = params[best]["alpha"]
         self.best_score_ = float(results["mean_test_score"][best])
         self.best_estimator_ = estimator
-        for name in _COPIED:
-            if hasattr(estimator, name):
-                setattr(self, name, getattr(estimator, name))
         return self
+
+    @property
+    def rcond_(self) -> float:
+        """Reciprocal condition number of the matrix that the winner has factored.
+
+        It is estimated when it is first asked for. The winner has none if it was
+        solved by conjugate gradients.
+        """
+        return float(self.best_estimator_.rcond_)
 
     def predict(self, X: Any, return_std: bool = False) -> Array | tuple[Array, Array]:
         """Predict the outputs one step after each state.
@@ -395,105 +416,97 @@ default=None
         check_is_fitted(self)
         return validate_data(self, X, reset=False, dtype=np.float64)
 
-    def _betas(self) -> list[float | None]:
-        return [None] if self.betas is None else list(self.betas)
-
     def _check_parameters(self) -> None:
         if isinstance(self.centers, str):
             raise ValueError(
                 f"centers must be None, an array or a selector, got {self.centers!r}; "
                 "the folds need the states themselves, not distances."
             )
-        for name in ("kernels", "betas", "alphas"):
-            values = getattr(self, name)
-            if name == "betas" and values is None:
-                continue
-            if isinstance(values, str) or not isinstance(values, Iterable):
-                raise ValueError(f"{name} must be a list of values, got {values!r}.")
-            if not len(list(values)):
+        betas = [None] if self.betas is None else self.betas
+        lists = {"kernels": self.kernels, "betas": betas, "alphas": self.alphas}
+        for name, values in lists.items():
+            is_list = isinstance(values, Iterable) and not isinstance(values, str)
+            if not is_list or not len(list(values)):
                 raise ValueError(
-                    f"{name} must hold at least one value, got {values!r}."
+                    f"{name} must be a list of one or more values, got {values!r}."
                 )
         for alpha in self.alphas:
             check_number(alpha, "alphas")
-        for beta in self._betas():
+        for beta in betas:
             if beta is not None:
                 check_number(beta, "betas", positive=True)
-        # The other parameters are those of the regressor, which checks them.
-        KoopmanKernelRegressor(
-            method=self.method, trend=self.trend, solver=self.solver
-        )._check_parameters()
+        check_choice(self.method, "method", ("interpolation", "least_squares"))
+        check_choice(self.trend, "trend", DEGREES)
+        check_choice(self.solver, "solver", ("auto", "pivoted_cholesky", "cholesky"))
 
-    def _folds(self, X: Array, y: Array, groups: Any) -> list[Fold]:
-        if self.cv is None:
-            if len(X) < 2:
-                raise ValueError(
-                    "cv=None leaves one row out after the other, which needs at least "
-                    f"2, but n_samples = {len(X)}; use KoopmanKernelRegressor."
-                )
-            splits = LeaveOneOut().split(X)
-        else:
-            splits = check_cv(self.cv, y, classifier=False).split(X, y, groups)
-        folds = []
+    def _splits(self, X: Array, y: Array, groups: Any) -> list[Split]:
+        if self.cv is None and len(X) < 2:
+            raise ValueError(
+                "cv=None leaves one row out after the other, which needs at least 2, "
+                f"but n_samples = {len(X)}; use KoopmanKernelRegressor."
+            )
+        cv = LeaveOneOut() if self.cv is None else self.cv
+        splits: list[Split] = []
         every = np.arange(len(X))
-        for i, (train, test) in enumerate(splits):
-            fold = Fold.of(every[train], every[test], len(X))
-            n_train = len(X) - len(fold.out)
-            if not n_train or not len(fold.test):
+        for train, test in check_cv(cv, y).split(X, y, groups):
+            train, test = every[train], every[test]
+            out = np.delete(every, train)
+            n_train = len(X) - len(out)
+            if not n_train or not len(test):
                 raise ValueError(
-                    f"cv={self.cv!r} gives fold {i} {n_train} training rows and "
-                    f"{len(fold.test)} test rows; each needs at least one."
+                    f"cv={self.cv!r} gives fold {len(splits)} {n_train} training rows "
+                    f"and {len(test)} test rows; each needs at least one."
                 )
-            if n_train < len(every[train]):
+            if n_train < len(train):
                 raise ValueError(
-                    f"cv={self.cv!r} repeats rows in the training part of fold {i}; "
-                    "name every row at most once."
+                    f"cv={self.cv!r} repeats rows in the training part of fold "
+                    f"{len(splits)}; name every row at most once."
                 )
-            folds.append(fold)
-        if not folds:
+            is_rising = bool((np.diff(train) > 0).all())
+            splits.append(Split(out, test, None if is_rising else train))
+        if not splits:
             raise ValueError(f"cv={self.cv!r} gives no folds.")
-        return folds
+        return splits
 
-    def _scored(
-        self,
-        search: Search,
-        scorer: Any,
-        y: Array,
-        alphas: list[float],
-        distances: tuple[Array, float] | None,
-        kernel: Any,
-    ) -> list[Outcome]:
-        """Return the scores of a kernel for every alpha, or why there are none."""
-        outcomes = search.predictions(kernel, alphas, distances)
-        for i, held_out in enumerate(outcomes):
-            if isinstance(held_out, ValueError):
-                continue
-            if self.cv is not None:
-                outcomes[i] = scores_of_folds(scorer, search.folds, held_out, y)
-            elif self.scoring is None:
-                outcomes[i] = -np.square(held_out - search.y).mean(axis=1)
-            else:
-                every = np.arange(len(y))
-                outcomes[i] = scores_of_folds(scorer, [Fold(every, every)], held_out, y)
-        return outcomes
-
-    def _check_folds(self, search: Search) -> None:
-        for i, fold in enumerate(search.folds):
-            if not (search.label[search.train(fold)] >= 0).any():
+    def _problem(
+        self, X: Array, y: Array, centers: Any, splits: list[Split]
+    ) -> Problem:
+        """Choose the centres, and gather what the candidates share."""
+        every_row = centers is None
+        # Least squares over the sections of all rows is interpolation with alpha.
+        interpolates = self.method == "interpolation" or every_row
+        points = X
+        if not every_row:
+            points, _ = choose_centers(centers, X, y, among_rows=interpolates)
+        points = points[distinct_rows(points)[0]]
+        regressor = KoopmanKernelRegressor(
+            method=self.method,
+            trend=self.trend,
+            solver="cholesky" if self.solver == "cholesky" else "pivoted_cholesky",
+        )
+        problem = Problem(X, y, points, splits, regressor, interpolates, every_row)
+        for i, fold in enumerate(problem.folds):
+            if interpolates and len(fold.out) == len(points):
                 raise ValueError(
                     f"cv={self.cv!r} leaves no centre among the training rows of fold "
-                    f"{i}; choose more centres than {len(search.points)}, or smaller "
-                    "folds."
+                    f"{i}; choose more centres than {len(points)}, or smaller folds."
                 )
+        return problem
 
-
-_COPIED = (
-    "kernel_",
-    "center_indices_",
-    "centers_",
-    "dual_coef_",
-    "trend_coef_",
-    "signal_std_",
-    "noise_std_",
-    "rcond_",
-)
+    def _scored(
+        self, problem: Problem, scorer: Any, y: Array, alphas: list[float], kernel: Any
+    ) -> list[Array | ValueError]:
+        """Return the scores of a kernel for every alpha, or why there are none."""
+        outputs = [y[split.test] for split in problem.splits]
+        outcomes: list[Array | ValueError] = []
+        for found in problem.predict(kernel, alphas):
+            if isinstance(found, ValueError):
+                outcomes.append(found)
+            elif self.cv is None and self.scoring is None:
+                error = np.concatenate(found) - problem.y
+                outcomes.append(-np.square(error).mean(axis=1))
+            elif self.cv is None:
+                outcomes.append(score(scorer, [np.concatenate(found)], [y]))
+            else:
+                outcomes.append(score(scorer, found, outputs))
+        return outcomes
