@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
-from functools import partial
 from itertools import product
 from typing import Any
 
@@ -26,7 +25,8 @@ from sklearn_koopman._regression._candidates import (
     IdentityRegressor,
     Problem,
     Split,
-    score,
+    negative_squared_errors,
+    score_kernel,
     tabulate,
 )
 from sklearn_koopman._utils._parallel import one_thread
@@ -288,35 +288,40 @@ default=None
             X, y, multi_output=True, y_numeric=True, dtype=np.float64, estimator=self
         )
         y = np.asarray(y, dtype=np.float64)
-        self._check_parameters()
-        kernels = list(self.kernels)
-        betas = [None] if self.betas is None else list(self.betas)
-        alphas = [float(alpha) for alpha in self.alphas]
+        grid = self._grid()
         candidates = [
             as_kernel(kernel, beta, X.shape[1])
-            for beta, kernel in product(betas, kernels)
+            for beta, kernel in product(grid["beta"], grid["kernel"])
         ]
         scorer = check_scoring(IdentityRegressor(), scoring=self.scoring)
+        if self.cv is None and self.scoring is None:
+            scorer = negative_squared_errors
         splits = self._splits(X, y, groups)
-        centers = self.centers
+        centers, points = self.centers, X
         if hasattr(centers, "fit") and not isinstance(centers, type):
             # Fitted once: the winner has the centres that it was chosen with.
             centers = FrozenEstimator(clone(centers).fit(X, y))
-        problem = self._problem(X, y.reshape(len(y), -1), centers, splits)
+        if centers is not None:
+            among_rows = self.method == "interpolation"
+            points, _ = choose_centers(centers, X, y, among_rows=among_rows)
+        points = points[distinct_rows(points)[0]]
+        regressor = KoopmanKernelRegressor(
+            method=self.method, trend=self.trend, solver=self.solver
+        )
+        problem = Problem(X, y, points, splits, regressor, centers is None)
 
-        run = partial(self._scored, problem, scorer, y, alphas)
+        share = problem, grid["alpha"], scorer, self.cv is None
         with warnings.catch_warnings():
             # Refits may lose dependent centres; the winner warns if it does.
             warnings.simplefilter("ignore", LinAlgWarning)
             many = effective_n_jobs(self.n_jobs) > 1
             with one_thread() if many else nullcontext():
                 scored = Parallel(n_jobs=self.n_jobs, prefer="threads")(
-                    delayed(run)(kernel) for kernel in candidates
+                    delayed(score_kernel)(kernel, *share) for kernel in candidates
                 )
         # In the order of GridSearchCV, so that it chooses among equals as that does.
-        grid = {"alpha": alphas, "beta": betas, "kernel": kernels}
         params = list(ParameterGrid(grid))
-        outcomes = [own[a] for a in range(len(alphas)) for own in scored]
+        outcomes = [own[a] for a in range(len(grid["alpha"])) for own in scored]
         results, failed = tabulate(params, outcomes, has_splits=self.cv is not None)
         if failed:
             warn(
@@ -325,17 +330,11 @@ default=None
                 FitFailedWarning,
             )
         best = int(results["rank_test_score"].argmin())
-        estimator = KoopmanKernelRegressor(
-            **params[best],
-            centers=centers,
-            method=self.method,
-            trend=self.trend,
-            solver=self.solver,
-            n_jobs=self.n_jobs,
-        ).fit(given, y)
+        regressor.set_params(**params[best], centers=centers, n_jobs=self.n_jobs)
+        estimator = regressor.fit(given, y)
         # Attributes are set last: a fit that fails leaves the estimator as it was.
         for name in [name for name in vars(self) if name.endswith("_")]:
-            delattr(self, name)
+            del self.__dict__[name]
         fitted = {k: v for k, v in vars(estimator).items() if k.endswith("_")}
         self.__dict__.update(fitted)
         self.cv_results_ = results
@@ -416,19 +415,20 @@ default=None
         check_is_fitted(self)
         return validate_data(self, X, reset=False, dtype=np.float64)
 
-    def _check_parameters(self) -> None:
+    def _grid(self) -> dict[str, list[Any]]:
+        """Check the parameters, and return those to choose from."""
         if isinstance(self.centers, str):
             raise ValueError(
                 f"centers must be None, an array or a selector, got {self.centers!r}; "
                 "the folds need the states themselves, not distances."
             )
         betas = [None] if self.betas is None else self.betas
-        lists = {"kernels": self.kernels, "betas": betas, "alphas": self.alphas}
-        for name, values in lists.items():
+        grid = {"alpha": self.alphas, "beta": betas, "kernel": self.kernels}
+        for name, values in grid.items():
             is_list = isinstance(values, Iterable) and not isinstance(values, str)
             if not is_list or not len(list(values)):
                 raise ValueError(
-                    f"{name} must be a list of one or more values, got {values!r}."
+                    f"{name}s must be a list of one or more values, got {values!r}."
                 )
         for alpha in self.alphas:
             check_number(alpha, "alphas")
@@ -438,6 +438,7 @@ default=None
         check_choice(self.method, "method", ("interpolation", "least_squares"))
         check_choice(self.trend, "trend", DEGREES)
         check_choice(self.solver, "solver", ("auto", "pivoted_cholesky", "cholesky"))
+        return {name: list(values) for name, values in grid.items()}
 
     def _splits(self, X: Array, y: Array, groups: Any) -> list[Split]:
         if self.cv is None and len(X) < 2:
@@ -462,51 +463,8 @@ default=None
                     f"cv={self.cv!r} repeats rows in the training part of fold "
                     f"{len(splits)}; name every row at most once."
                 )
-            is_rising = bool((np.diff(train) > 0).all())
+            is_rising = (np.diff(train) > 0).all()
             splits.append(Split(out, test, None if is_rising else train))
         if not splits:
             raise ValueError(f"cv={self.cv!r} gives no folds.")
         return splits
-
-    def _problem(
-        self, X: Array, y: Array, centers: Any, splits: list[Split]
-    ) -> Problem:
-        """Choose the centres, and gather what the candidates share."""
-        every_row = centers is None
-        # Least squares over the sections of all rows is interpolation with alpha.
-        interpolates = self.method == "interpolation" or every_row
-        points = X
-        if not every_row:
-            points, _ = choose_centers(centers, X, y, among_rows=interpolates)
-        points = points[distinct_rows(points)[0]]
-        regressor = KoopmanKernelRegressor(
-            method=self.method,
-            trend=self.trend,
-            solver="cholesky" if self.solver == "cholesky" else "pivoted_cholesky",
-        )
-        problem = Problem(X, y, points, splits, regressor, interpolates, every_row)
-        for i, fold in enumerate(problem.folds):
-            if interpolates and len(fold.out) == len(points):
-                raise ValueError(
-                    f"cv={self.cv!r} leaves no centre among the training rows of fold "
-                    f"{i}; choose more centres than {len(points)}, or smaller folds."
-                )
-        return problem
-
-    def _scored(
-        self, problem: Problem, scorer: Any, y: Array, alphas: list[float], kernel: Any
-    ) -> list[Array | ValueError]:
-        """Return the scores of a kernel for every alpha, or why there are none."""
-        outputs = [y[split.test] for split in problem.splits]
-        outcomes: list[Array | ValueError] = []
-        for found in problem.predict(kernel, alphas):
-            if isinstance(found, ValueError):
-                outcomes.append(found)
-            elif self.cv is None and self.scoring is None:
-                error = np.concatenate(found) - problem.y
-                outcomes.append(-np.square(error).mean(axis=1))
-            elif self.cv is None:
-                outcomes.append(score(scorer, [np.concatenate(found)], [y]))
-            else:
-                outcomes.append(score(scorer, found, outputs))
-        return outcomes

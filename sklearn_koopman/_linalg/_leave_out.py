@@ -20,10 +20,11 @@ other rows, of size M, or that of the residuals r = y - H y, of the size of S:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
+from itertools import compress
 
 import numpy as np
 from scipy.linalg.blas import dgemm, dsyrk
@@ -118,7 +119,7 @@ def _interpolate(
 ) -> Predictions:
     M = len(u)
     # A = W^T W with the inverse W of the Cholesky factor, less its part along P.
-    lower = _factor(_with_diagonal(K, diagonal), SINGULAR)
+    lower = _factor(K[:M], SINGULAR, diagonal)
     W, _ = dtrtri(lower, lower=1, overwrite_c=1)
     size = np.einsum("ij,ij->j", W, W)
     B = np.empty((0, M))  # takes outputs to the coefficients of the polynomials
@@ -129,34 +130,35 @@ def _interpolate(
         B = np.linalg.solve(R, B)
     c, b = dgemm(1.0, W, dgemm(1.0, W, u), trans_a=1), B @ u
     # NumPy has a BLAS of its own, whose threads slow down those of SciPy's.
-    reached = dgemm(1.0, K[:M].T, c, trans_a=1) + P[:M] @ b
-    reached += diagonal[:, np.newaxis] * c
-    error = np.abs(reached - u).max() / (np.abs(u).max() or 1.0)
-    if not error <= MAX_MISFIT:
-        raise np.linalg.LinAlgError(f"the solution misses its values by {error:.1e}")
+    fitted = dgemm(1.0, K.T, c, trans_a=1) + P @ b
+    misfit = np.abs(fitted[:M] + diagonal[:, np.newaxis] * c - u).max()
+    if not misfit <= MAX_MISFIT * (np.abs(u).max() or 1.0):
+        raise np.linalg.LinAlgError("the interpolant misses its values")
 
     predictions: Predictions = [None] * len(folds)
-    elsewhere = []  # folds with test rows that are not among the centres left out
+    partial = []  # folds whose test rows are not all among the centres left out
     for i, fold in enumerate(folds):
+        S = fold.out
         if fold.needs_refit:
             continue
-        S = fold.out
-        WS, e = W[:, S], c[S]
+        if not len(S):
+            predictions[i] = fitted[fold.test]
+            continue
+        WS = W[:, S]
+        A = dsyrk(1.0, WS, trans=1, lower=1)
         with suppress(np.linalg.LinAlgError):
-            if len(S):
-                A = dsyrk(1.0, WS, trans=1, lower=1)
-                e = _solve(A, e, size[S], EPSILON / MAX_FOLD_ERROR)
+            e = _solve(A, c[S], size[S], EPSILON / MAX_FOLD_ERROR)
             if (fold.places >= 0).all():
                 predictions[i] = (u[S] - e)[fold.places]
             else:
-                elsewhere.append((i, e, WS @ e))
-    if elsewhere:
-        images = np.hstack([image for *_, image in elsewhere])
-        changes = np.split(dgemm(1.0, W, images, trans_a=1), len(elsewhere), axis=1)
-        for (i, e, _), change in zip(elsewhere, changes, strict=True):
+                partial.append((i, e, WS @ e))
+    if partial:
+        images = np.hstack([image for *_, image in partial])
+        changes = np.split(dgemm(1.0, W, images, trans_a=1), len(partial), axis=1)
+        for (i, e, _), change in zip(partial, changes, strict=True):
             S, test, places = folds[i].out, folds[i].test, folds[i].places
-            values = dgemm(1.0, K[test].T, c - change, trans_a=1)
-            values += P[test] @ (b - B[:, S] @ e)
+            values = fitted[test] - dgemm(1.0, K[test].T, change, trans_a=1)
+            values -= P[test] @ (B[:, S] @ e)
             values[places >= 0] = (u[S] - e)[places[places >= 0]]
             predictions[i] = values
     return predictions
@@ -204,7 +206,7 @@ def leave_out_least_squares(
     M = K.shape[1]
     # Functions that are orthonormal in the native space; those along Q have no penalty.
     min_rcond = SINGULAR if is_verified else SUSPECT
-    lower = _factor(_with_diagonal(K, noise), min_rcond)
+    lower = _factor(K[:M], min_rcond, noise)
     F = solve_triangular(lower, K[rows].T, overwrite=True)
     Q, R = np.linalg.qr(solve_triangular(lower, P[:M]))
     if P.shape[1]:
@@ -214,16 +216,18 @@ def leave_out_least_squares(
 
     predictions: list[Predictions] = [[None] * len(folds) for _ in alphas]
     usable = [i for i, fold in enumerate(folds) if not fold.needs_refit]
-    large = [i for i in usable if 2 * len(folds[i].out) > M]
-    small = [i for i in usable if 2 * len(folds[i].out) <= M]
+    large = [i for i in usable if 4 * len(folds[i].out) > M]
+    small = [i for i in usable if 4 * len(folds[i].out) <= M]
+    features = np.vstack([F, y.T])
     for start in range(0, len(large), FOLDS_AT_ONCE):
         chosen = large[start : start + FOLDS_AT_ONCE]
-        sums = _sum_other_rows(F, y, [folds[i].out for i in chosen])
-        for i, (N, Fy) in zip(chosen, sums, strict=True):
+        sums = _sum_other_rows(features, [folds[i].out for i in chosen])
+        for i, N in zip(chosen, sums, strict=True):
             for own, alpha in zip(predictions, alphas, strict=True):
                 with suppress(np.linalg.LinAlgError):
-                    L = _factor(N.T + alpha * penalty, MIN_NORMAL_RCOND)
-                    z = solve_triangular(L, solve_triangular(L, Fy), transpose=True)
+                    L = _factor(N[:M, :M].T + alpha * penalty, MIN_NORMAL_RCOND)
+                    z = solve_triangular(L, N[M:, :M].T)
+                    z = solve_triangular(L, z, transpose=True)
                     own[i] = dgemm(1.0, F[:, folds[i].test], z, trans_a=1)
     if small:
         N = dsyrk(1.0, F, lower=1).T
@@ -242,51 +246,38 @@ def leave_out_least_squares(
     return predictions
 
 
-def _sum_other_rows(
-    F: Array, y: Array, outs: Sequence[Indices]
-) -> list[tuple[Array, Array]]:
-    """Return F F^T (its lower triangle) and F y without some rows, for each fold.
+def _sum_other_rows(features: Array, outs: Sequence[Indices]) -> Iterator[Array]:
+    """Yield the lower triangle of the products of features without some rows.
 
     Rows that the same folds use are summed up together. Nothing is subtracted, which
     would cancel digits where a fold holds most of a function.
     """
-    is_used = np.ones((len(outs), len(y)), dtype=bool)
+    is_used = np.ones((len(outs), features.shape[1]), dtype=bool)
     for row, out in zip(is_used, outs, strict=True):
         row[out] = False
     patterns, kind = np.unique(is_used, axis=1, return_inverse=True)
-    M = len(F)
-    sums = [(np.zeros((M, M), order="F"), np.zeros((M, y.shape[1]))) for _ in outs]
-    for k, pattern in enumerate(patterns.T):
-        rows = np.flatnonzero(kind.reshape(-1) == k)
-        part = F[:, rows]
-        gram, product = dsyrk(1.0, part, lower=1), dgemm(1.0, part, y[rows])
-        for i in np.flatnonzero(pattern):
-            sums[i][0][...] += gram
-            sums[i][1][...] += product
-    return sums
+    kind = kind.reshape(-1)
+    kinds = range(patterns.shape[1])
+    parts = [dsyrk(1.0, features[:, kind == k], lower=1) for k in kinds]
+    for used in patterns:
+        yield reduce(np.add, compress(parts, used))
 
 
-def _with_diagonal(K: Array, diagonal: Array) -> Array:
-    """Return a copy of the first rows of K with a diagonal added."""
-    A = K[: len(diagonal)].copy()
-    A[np.diag_indices(len(A))] += diagonal
-    return A
-
-
-def _factor(A: Array, min_rcond: float) -> Array:
-    """Return the Cholesky factor of a matrix in C order, from its upper triangle.
+def _factor(A: Array, min_rcond: float, diagonal: Array | float = 0.0) -> Array:
+    """Return the Cholesky factor of A + diagonal, from the upper triangle of A.
 
     Raises
     ------
     LinAlgError
         If its reciprocal condition number is too small.
     """
-    # In Fortran order, and zero above the diagonal.
-    lower, info = cholesky(np.triu(A).T, lower=True)
+    F = np.triu(A).T  # in Fortran order, and zero above the diagonal
+    F[np.diag_indices(len(F))] += diagonal
+    lower, info = cholesky(F, lower=True)
     rcond = 0.0 if info else _pivot_rcond(lower)
     if min_rcond <= rcond < PIVOT_OPTIMISM * min_rcond:
         size = np.abs(np.triu(A))
-        norm = float((size.sum(axis=0) + size.sum(axis=1)).max())
+        norm = (size.sum(axis=0) + size.sum(axis=1) + np.abs(diagonal)).max()
         rcond = float(dpocon(lower, norm, uplo="L")[0])
     if rcond < min_rcond:
         raise np.linalg.LinAlgError("the matrix is numerically singular")

@@ -40,12 +40,17 @@ class Problem:
     """What all candidates share: the rows, the centres and the folds."""
 
     X: Array
-    y: Array  # (n_samples, n_outputs)
-    centers: Array
+    y: Array
+    centers: Array  # no two are equal
     splits: list[Split]
     regressor: Any  # not fitted, with the parameters that the candidates share
-    interpolates: bool
     every_row: bool  # every row is a centre; equal rows count by their mean
+
+    @property
+    def interpolates(self) -> bool:
+        """Whether outputs of centres are used, and not those of all rows."""
+        # Least squares over the sections of all rows is interpolation with alpha.
+        return self.every_row or self.regressor.method == "interpolation"
 
     @cached_property
     def table(self) -> tuple[Array, Indices]:
@@ -57,13 +62,11 @@ class Problem:
     @cached_property
     def outputs(self) -> tuple[Array, Array]:
         """Outputs of the centres, and their diagonal in units of alpha."""
-        M, place = len(self.centers), self.table[1]
-        rows = np.flatnonzero(place < M)
-        group = place[rows]
+        M, place, y = len(self.centers), self.table[1], self.y.reshape(len(self.y), -1)
         if self.every_row:
-            return group_means(self.y[rows], group), 1 / np.bincount(group)
-        _, first = np.unique(group, return_index=True)
-        return self.y[rows[first]], np.ones(M)
+            return group_means(y, place)[:M], 1 / np.bincount(place)[:M]
+        _, first = np.unique(place, return_index=True)
+        return y[first[:M]], np.ones(M)
 
     @cached_property
     def folds(self) -> list[Fold]:
@@ -77,7 +80,7 @@ class Problem:
         size = np.bincount(place, minlength=M)[:M]
         has_equal = bool((size > 1).any())
         folds = []
-        for rows, test, order in self.splits:
+        for i, (rows, test, order) in enumerate(self.splits):
             out, lost = np.unique(place[rows], return_counts=True)
             out, lost = out[out < M], lost[out < M]
             # The outputs of centres that stay change if equal rows go, or if the order
@@ -85,6 +88,11 @@ class Problem:
             is_gone = lost == size[out]
             is_changed = not is_gone.all() or (has_equal and order is not None)
             folds.append(Fold(out[is_gone], place[test], is_changed))
+            if is_gone.sum() == M:
+                raise ValueError(
+                    f"fold {i} has no centre among its training rows; choose more "
+                    f"centres than {M}, or smaller folds"
+                )
         return folds
 
     def predict(
@@ -101,7 +109,8 @@ class Problem:
                     predictions = self._complete(kernel, alpha, found)
                 if not all(np.isfinite(own).all() for own in predictions):
                     raise ValueError("the predictions are not finite")
-                outcomes.append(predictions)
+                shape = self.y.shape[1:]
+                outcomes.append([own.reshape(-1, *shape) for own in predictions])
             except ValueError as error:
                 outcomes.append(error)
         return outcomes
@@ -129,8 +138,9 @@ class Problem:
                 return leave_out_interpolation(
                     K, noise, P, weight, u, self.folds, alphas
                 )
+            y = self.y.reshape(len(self.y), -1)
             return leave_out_least_squares(
-                K, noise, P, place, self.y, self.folds, alphas, is_verified=is_verified
+                K, noise, P, place, y, self.folds, alphas, is_verified=is_verified
             )
         except np.linalg.LinAlgError as error:
             return [error] * len(alphas)
@@ -186,11 +196,30 @@ class IdentityRegressor(RegressorMixin, BaseEstimator):
         return X
 
 
-def score(scorer: Any, predictions: Sequence[Array], outputs: Sequence[Array]) -> Array:
-    """Score the predictions of each fold."""
-    identity = IdentityRegressor()
-    pairs = zip(predictions, outputs, strict=True)
-    return np.array([scorer(identity, own.reshape(y.shape), y) for own, y in pairs])
+def negative_squared_errors(estimator: Any, X: Array, y: Array) -> Array:
+    """Score every row by its squared error, averaged over the outputs."""
+    return -np.square(X - y).reshape(len(y), -1).mean(axis=1)
+
+
+def score_kernel(
+    kernel: Any, problem: Problem, alphas: Sequence[float], scorer: Any, pooled: bool
+) -> list[Array | ValueError]:
+    """Return the scores of all folds, or why there are none, for every alpha.
+
+    With `pooled`, the folds are single rows, which are scored together.
+    """
+    outcomes: list[Array | ValueError] = []
+    for found in problem.predict(kernel, alphas):
+        if isinstance(found, ValueError):
+            outcomes.append(found)
+            continue
+        outputs = [problem.y[split.test] for split in problem.splits]
+        if pooled:
+            found, outputs = [np.concatenate(found)], [problem.y]
+        pairs = zip(found, outputs, strict=True)
+        scores = [scorer(IdentityRegressor(), own, y) for own, y in pairs]
+        outcomes.append(np.hstack(scores))
+    return outcomes
 
 
 def tabulate(
