@@ -18,7 +18,7 @@ from sklearn.metrics import check_scoring
 from sklearn.model_selection import LeaveOneOut, ParameterGrid, check_cv
 from sklearn.utils import check_X_y
 from sklearn.utils.parallel import Parallel, delayed
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted
 
 from sklearn_koopman._matrices._polynomial import DEGREES
 from sklearn_koopman._regression._candidates import (
@@ -373,7 +373,7 @@ default=None
             Standard deviation of the outputs, as
             :meth:`KoopmanKernelRegressor.predict` gives it; only if `return_std`.
         """
-        X = self._validated(X)
+        check_is_fitted(self)
         return self.best_estimator_.predict(X, return_std=return_std)
 
     def power_function(self, X: Any) -> Array:
@@ -389,7 +389,7 @@ default=None
         power : ndarray of shape (n_samples,)
             As :meth:`KoopmanKernelRegressor.power_function` gives it.
         """
-        X = self._validated(X)
+        check_is_fitted(self)
         return self.best_estimator_.power_function(X)
 
     def error_bound(self, X: Any, norm: Any = None) -> Array:
@@ -408,12 +408,8 @@ default=None
         bound : ndarray of shape (n_samples,) or (n_samples, n_outputs)
             As :meth:`KoopmanKernelRegressor.error_bound` gives it.
         """
-        X = self._validated(X)
-        return self.best_estimator_.error_bound(X, norm)
-
-    def _validated(self, X: Any) -> Array:
         check_is_fitted(self)
-        return validate_data(self, X, reset=False, dtype=np.float64)
+        return self.best_estimator_.error_bound(X, norm)
 
     def _grid(self) -> dict[str, list[Any]]:
         """Check the parameters, and return those to choose from."""
@@ -428,7 +424,7 @@ default=None
             is_list = isinstance(values, Iterable) and not isinstance(values, str)
             if not is_list or not len(list(values)):
                 raise ValueError(
-                    f"{name}s must be a list of one or more values, got {values!r}."
+                    f"{name}s must be a non-empty list of values, got {values!r}."
                 )
         for alpha in self.alphas:
             check_number(alpha, "alphas")
@@ -438,7 +434,8 @@ default=None
         check_choice(self.method, "method", ("interpolation", "least_squares"))
         check_choice(self.trend, "trend", DEGREES)
         check_choice(self.solver, "solver", ("auto", "pivoted_cholesky", "cholesky"))
-        return {name: list(values) for name, values in grid.items()}
+        alphas = [float(alpha) for alpha in self.alphas]
+        return {"alpha": alphas, "beta": list(betas), "kernel": list(self.kernels)}
 
     def _splits(self, X: Array, y: Array, groups: Any) -> list[Split]:
         if self.cv is None and len(X) < 2:

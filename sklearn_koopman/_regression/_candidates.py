@@ -90,8 +90,8 @@ class Problem:
             folds.append(Fold(out[is_gone], place[test], is_changed))
             if is_gone.sum() == M:
                 raise ValueError(
-                    f"fold {i} has no centre among its training rows; choose more "
-                    f"centres than {M}, or smaller folds"
+                    f"cv holds out all centres in fold {i}; choose more centres than "
+                    f"{M}, or smaller folds."
                 )
         return folds
 
