@@ -1,350 +1,246 @@
-"""Cross-validation of the candidates of a search: functions of arrays.
+"""Cross-validation of the candidates of a search.
 
-What all candidates share (centres, folds, distances) is computed once; a candidate is
-a kernel with its scale, and has predictions for every weight alpha.
+A candidate is a kernel with its scale. It has predictions for every weight alpha: from
+a closed form where that applies, and else from refits of the regressor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpocon
-from scipy.spatial.distance import cdist
 from scipy.stats import rankdata
-from sklearn.base import BaseEstimator, RegressorMixin
-from sklearn.utils import gen_batches
+from sklearn.base import BaseEstimator, RegressorMixin, clone
 
-from sklearn_koopman._linalg import _direct
-from sklearn_koopman._linalg._cholesky import solve_triangular
-from sklearn_koopman._linalg._least_squares import SUSPECT
 from sklearn_koopman._linalg._leave_out import (
     Fold,
-    Interpolation,
-    Samples,
-    factor,
-    interpolated,
+    Predictions,
+    leave_out_interpolation,
+    leave_out_least_squares,
 )
-from sklearn_koopman._linalg._leave_out_least_squares import Regression, regressed
-from sklearn_koopman._matrices._polynomial import PolynomialTrend, polynomial
-from sklearn_koopman._matrices._sections import TILE, KernelSections, matrix
+from sklearn_koopman._matrices._polynomial import DEGREES, PolynomialTrend
+from sklearn_koopman._matrices._sections import KernelSections, matrix
 from sklearn_koopman._utils._rows import distinct_rows, group_means
 from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman.centers import choose_centers
-from sklearn_koopman.kernels import FAR, RadialKernel
 
-# Held-out predictions, or why there are none.
-Outcome = Array | ValueError
+
+class Split(NamedTuple):
+    """Rows of a fold. All of its training rows would be a long list for each fold."""
+
+    out: Indices  # rows that are not among the training rows
+    test: Indices
+    order: Indices | None  # the training rows, where they are not in rising order
 
 
 @dataclass(frozen=True)
-class Search:
-    """What the candidates have in common."""
+class Problem:
+    """What all candidates share: the rows, the centres and the folds."""
 
     X: Array
     y: Array
-    points: Array  # the centres
-    table: Array  # the centres, then all other rows
-    label: Indices  # which centre each row is; -1 if none
-    place: Indices  # which row of the table each row is
-    merged: bool  # equal rows are one centre, with their mean output
-    interpolates: bool
-    degree: int | None
-    drop_dependent: bool
-    folds: list[Fold]
-    conflict: ValueError | None  # that equal rows have different outputs
+    centers: Array  # no two are equal
+    splits: list[Split]
+    regressor: Any  # not fitted, with the parameters that the candidates share
+    every_row: bool  # every row is a centre; equal rows count by their mean
 
-    @classmethod
-    def of(
-        cls,
-        X: Array,
-        y: Array,
-        centers: Any,
-        folds: list[Fold],
-        *,
-        interpolates: bool,
-        degree: int | None,
-        drop_dependent: bool,
-    ) -> Search:
-        """Choose the centres, and find out which rows they are."""
-        exact, interpolates = interpolates, interpolates or centers is None
-        points = X
-        if centers is not None:
-            points, _ = choose_centers(centers, X, y, among_rows=interpolates)
-        first, group, _ = distinct_rows(np.vstack([points, X]))
-        points = points[first[first < len(points)]]
-        group = group[-len(X) :]
-        label = np.where(group < len(points), group, -1)
-        others = np.flatnonzero(label < 0)
-        place = label.copy()
-        place[others] = len(points) + np.arange(len(others))
-        table = np.vstack([points, X[others]])
-        merged = centers is None
-        conflict = _conflict(y, label) if merged and exact else None
-        return cls(
-            X,
-            y,
-            points,
-            table,
-            label,
-            place,
-            merged,
-            interpolates,
-            degree,
-            drop_dependent,
-            folds,
-            conflict,
-        )
+    @property
+    def interpolates(self) -> bool:
+        """Whether outputs of centres are used, and not those of all rows."""
+        # Least squares over the sections of all rows is interpolation with alpha.
+        return self.every_row or self.regressor.method == "interpolation"
 
-    def train(self, fold: Fold) -> Indices:
-        """Return the training rows of a fold."""
-        if fold.order is not None:
-            return fold.order
-        used = np.ones(len(self.X), dtype=bool)
-        used[fold.out] = False
-        return np.flatnonzero(used)
+    @cached_property
+    def table(self) -> tuple[Array, Indices]:
+        """The M centres and the other distinct rows, and which each row of X is."""
+        rows = np.vstack([self.centers, self.X])
+        first, group, _ = distinct_rows(rows)
+        return rows[first], group[len(self.centers) :]
 
-    def distances(self) -> tuple[Array, float]:
-        """Return the distances of the table to the centres, and their unit."""
-        # Scaled before differences are squared, so that no unit overflows.
-        unit = float(np.abs(self.table).max()) or 1.0
-        return cdist(self.table / unit, self.points / unit), unit
+    @cached_property
+    def outputs(self) -> tuple[Array, Array]:
+        """Outputs of the centres, and their diagonal in units of alpha."""
+        M, place, y = len(self.centers), self.table[1], self.y.reshape(len(self.y), -1)
+        if self.every_row:
+            return group_means(y, place)[:M], 1 / np.bincount(place)[:M]
+        _, first = np.unique(place, return_index=True)
+        return y[first[:M]], np.ones(M)
 
-    def predictions(
-        self,
-        kernel: Any,
-        alphas: Sequence[float],
-        distances: tuple[Array, float] | None,
-    ) -> list[Outcome]:
-        """Predict the test rows of all folds, joined, for every alpha."""
-        if isinstance(kernel, RadialKernel) and distances is not None:
-            K = _radial(kernel, *distances, self.points.shape[1])
-        else:
-            K = matrix(KernelSections(kernel, self.points), self.table)
-        everything = np.arange(len(self.points))
-        outcomes: list[Outcome] = []
-        for alpha, held_out in zip(
-            alphas, self._held_out(kernel, K, everything, alphas), strict=True
-        ):
-            outcome = held_out
-            if alpha == 0 and self.conflict is not None:
-                outcome = self.conflict
-            elif isinstance(outcome, ValueError):
-                try:
-                    outcome = self._on_independent(kernel, K, alpha)
-                except ValueError as error:
-                    outcome = error
-            if not isinstance(outcome, ValueError) and not np.isfinite(outcome).all():
-                outcome = ValueError("the predictions are not finite")
-            outcomes.append(outcome)
+    @cached_property
+    def folds(self) -> list[Fold]:
+        """The folds as the closed form takes them."""
+        if not self.interpolates:
+            return [
+                Fold(out, test, not np.isin(test, out).all())
+                for out, test, _ in self.splits
+            ]
+        M, place = len(self.centers), self.table[1]
+        size = np.bincount(place, minlength=M)[:M]
+        has_equal = bool((size > 1).any())
+        folds = []
+        for i, (rows, test, order) in enumerate(self.splits):
+            out, lost = np.unique(place[rows], return_counts=True)
+            out, lost = out[out < M], lost[out < M]
+            # The outputs of centres that stay change if equal rows go, or if the order
+            # of equal rows is another one.
+            is_gone = lost == size[out]
+            is_changed = not is_gone.all() or (has_equal and order is not None)
+            folds.append(Fold(out[is_gone], place[test], is_changed))
+            if is_gone.sum() == M:
+                raise ValueError(
+                    f"cv holds out all centres in fold {i}; choose more centres than "
+                    f"{M}, or smaller folds."
+                )
+        return folds
+
+    def predict(
+        self, kernel: Any, alphas: Sequence[float]
+    ) -> list[list[Array] | ValueError]:
+        """Predict the test rows of all folds, or say why not, for every alpha."""
+        outcomes: list[list[Array] | ValueError] = []
+        may_conflict = self.every_row and len(self.X) > len(self.centers)
+        for alpha, found in zip(alphas, self._leave_out(kernel, alphas), strict=True):
+            try:
+                if isinstance(found, ValueError) or (alpha == 0 and may_conflict):
+                    predictions = self._predict_as_fitted(kernel, alpha)
+                else:
+                    predictions = self._complete(kernel, alpha, found)
+                if not all(np.isfinite(own).all() for own in predictions):
+                    raise ValueError("the predictions are not finite")
+                shape = self.y.shape[1:]
+                outcomes.append([own.reshape(-1, *shape) for own in predictions])
+            except ValueError as error:
+                outcomes.append(error)
         return outcomes
 
-    def _held_out(
-        self, kernel: Any, K: Array, kept: Indices, alphas: Sequence[float]
-    ) -> list[Outcome]:
-        """Predict from closed forms with the centres kept."""
+    def _leave_out(
+        self, kernel: Any, alphas: Sequence[float], *, is_verified: bool = False
+    ) -> Sequence[Predictions | ValueError]:
+        """Predict from the closed form."""
+        sections = KernelSections(kernel, self.centers)
+        table, place = self.table
+        K = matrix(sections, table)
+        # A noise term of the kernel is on the diagonal only.
+        noise = sections.diagonal(self.centers) - K.diagonal()
+        P = np.empty((len(K), 0))
+        degree = DEGREES[self.regressor.trend]
         try:
+            if degree is not None:
+                rows = self.centers if self.interpolates else self.X
+                extent = np.stack([rows.min(axis=0), rows.max(axis=0)])
+                trend = PolynomialTrend.at(self.centers, degree, extent)
+                if not (trend.is_determined or self.interpolates):
+                    raise np.linalg.LinAlgError("the centres determine no linear trend")
+                P = trend.values(table)
             if self.interpolates:
-                return self._interpolated(kernel, K, kept, alphas)
-            return self._regressed(kernel, K, kept, alphas)
+                u, weight = self.outputs
+                return leave_out_interpolation(
+                    K, noise, P, weight, u, self.folds, alphas
+                )
+            y = self.y.reshape(len(self.y), -1)
+            return leave_out_least_squares(
+                K, noise, P, place, y, self.folds, alphas, is_verified=is_verified
+            )
         except np.linalg.LinAlgError as error:
             return [error] * len(alphas)
 
-    def _on_independent(self, kernel: Any, K: Array, alpha: float) -> Array:
-        """Predict with the centres that the regressor keeps, or from its own refits."""
-        rule = self._rule(np.arange(len(self.X)), np.arange(len(self.points)), alpha)
-        solution, _ = self._solved(kernel, *rule)
-        if len(solution.kept) < len(self.points):
-            [outcome] = self._held_out(kernel, K, solution.kept, [alpha])
-            if not isinstance(outcome, ValueError):
-                return outcome
-        refit = self._refit(kernel, solution.kept, alpha)
-        return np.concatenate([refit(i) for i in range(len(self.folds))])
+    def _predict_as_fitted(self, kernel: Any, alpha: float) -> list[Array]:
+        """Predict with the centres that the regressor keeps on all rows.
 
-    def _interpolated(
-        self, kernel: Any, K: Array, kept: Indices, alphas: Sequence[float]
-    ) -> list[Outcome]:
-        samples = self._samples(kept)
-        u, weight = samples.outputs(len(kept))
-        P = np.empty((len(self.table), 0))
-        if self.degree is not None:
-            tail = PolynomialTrend.on(self.points[kept], self.degree, self.points[kept])
-            P = polynomial(self.table, tail.origin, tail.seen)
-        problem = Interpolation(
-            K if len(kept) == K.shape[1] else np.take(K, kept, axis=1),
-            kept,
-            self._excess(kernel, K, kept),
-            weight,
-            P,
-            u,
-        )
-        changes = samples.changes(len(kept), self.folds)
-        return interpolated(
-            problem, changes, alphas, lambda alpha: self._refit(kernel, kept, alpha)
-        )
+        Raises
+        ------
+        ValueError
+            If the regressor has no estimate.
+        """
+        centers = None if self.every_row else self.centers
+        model = self._fit(kernel, alpha, centers, self.X, self.y)
+        kept = replace(self, centers=model.centers_)
+        [found] = kept._leave_out(kernel, [alpha], is_verified=True)
+        if isinstance(found, ValueError):
+            found = [None] * len(self.splits)
+        return kept._complete(kernel, alpha, found)
 
-    def _regressed(
-        self, kernel: Any, K: Array, kept: Indices, alphas: Sequence[float]
-    ) -> list[Outcome]:
-        if len(kept) < K.shape[1]:
-            K = np.take(K, kept, axis=1)
-        lower = factor(K[kept], self._excess(kernel, K, kept))
-        norm = float(np.abs(K[kept]).sum(axis=0).max())
-        rcond = float(dpocon(lower, norm, uplo="L")[0])
-        if rcond < SUSPECT and len(kept) == len(self.points):
-            raise np.linalg.LinAlgError("the Gram matrix is nearly singular")
-        A = np.array(K[self.place].T, order="F")
-        A = solve_triangular(lower, A, overwrite=True)
-        T, Q = np.empty((0, len(self.X))), np.empty((len(kept), 0))
-        if self.degree is not None:
-            centers = self.points[kept]
-            tail = PolynomialTrend.on(centers, self.degree, self.X)
-            P = polynomial(centers, tail.origin, tail.seen)
-            Q, R = np.linalg.qr(solve_triangular(lower, P))
-            A -= Q @ (Q.T @ A)
-            seen = polynomial(self.X, tail.origin, tail.seen)
-            unseen = polynomial(self.X, tail.origin, tail.unseen)
-            T = np.vstack([np.linalg.solve(R.T, seen.T), unseen.T])
-        problem = Regression(A, T, Q, self.y, rcond)
-        return regressed(
-            problem, self.folds, alphas, lambda alpha: self._refit(kernel, kept, alpha)
-        )
+    def _complete(
+        self, kernel: Any, alpha: float, predictions: Predictions
+    ) -> list[Array]:
+        """Refit the folds that have no predictions."""
+        return [
+            self._refit(kernel, alpha, split) if own is None else own
+            for own, split in zip(predictions, self.splits, strict=True)
+        ]
 
-    def _samples(self, kept: Indices) -> Samples:
-        label = np.full(len(self.points) + 1, -1)
-        label[kept] = np.arange(len(kept))
-        return Samples(label[self.label], self.place, self.y, self.merged)
+    def _refit(self, kernel: Any, alpha: float, split: Split) -> Array:
+        train = split.order
+        if train is None:
+            train = np.delete(np.arange(len(self.X)), split.out)
+        centers = None if self.every_row else self.centers
+        if centers is not None and self.interpolates:
+            place = self.table[1][train]
+            centers = centers[np.isin(np.arange(len(centers)), place)]
+        model = self._fit(kernel, alpha, centers, self.X[train], self.y[train])
+        return np.asarray(model.predict(self.X[split.test]))
 
-    def _excess(self, kernel: Any, K: Array, kept: Indices) -> Array:
-        """Return what a noise term of the kernel adds to the diagonal."""
-        sections = KernelSections(kernel, self.points[kept])
-        smooth = K[kept, np.arange(len(kept)) if K.shape[1] == len(kept) else kept]
-        return np.asarray(sections.diagonal(self.points[kept]) - smooth)
-
-    def _refit(
-        self, kernel: Any, kept: Indices, alpha: float
-    ) -> Callable[[int], Array]:
-        """Return a function that predicts the test rows of a fold from a refit."""
-
-        def predicted(i: int) -> Array:
-            fold = self.folds[i]
-            rule = self._rule(self.train(fold), kept, alpha)
-            solution, _ = self._solved(kernel, *rule)
-            return _direct.evaluate(
-                solution.basis.sections,
-                solution.basis.tail,
-                self.X[fold.test],
-                solution.dual,
-                solution.trend,
-            )
-
-        return predicted
-
-    def _rule(
-        self, rows: Indices, kept: Indices, alpha: float
-    ) -> tuple[Array, Array, _direct.Rule, Array]:
-        """Return the centres, their nugget, and the rule that some rows make."""
-        if not self.interpolates:
-            points = self.points[kept]
-            if alpha == 0 and len(rows) < len(points):
-                raise ValueError(
-                    f"{len(rows)} training rows do not determine the coefficients of "
-                    f"{len(points)} centres"
-                )
-            rule = _direct.regression(self.X[rows], self.y[rows], alpha, None)
-            return points, np.zeros(len(points)), rule, self.X[rows]
-        samples = self._samples(kept)
-        samples = Samples(samples.label[rows], rows, self.y[rows], self.merged)
-        kept = kept[np.isin(np.arange(len(kept)), samples.label)]
-        samples = Samples(
-            self._samples(kept).label[rows], rows, self.y[rows], self.merged
-        )
-        points = self.points[kept]
-        u, weight = samples.outputs(len(kept))
-        return points, alpha * weight, _direct.interpolation(points, u), points
-
-    def _solved(
-        self, kernel: Any, points: Array, nugget: Array, rule: Any, extent: Array
-    ) -> tuple[_direct.Solution[Any], float]:
-        return _direct.solve(
-            KernelSections(kernel, points),
-            points,
-            nugget,
-            rule,
-            self.degree,
-            extent,
-            drop_dependent=self.drop_dependent,
-        )
+    def _fit(self, kernel: Any, alpha: float, centers: Any, X: Array, y: Array) -> Any:
+        model = clone(self.regressor)
+        return model.set_params(kernel=kernel, alpha=alpha, centers=centers).fit(X, y)
 
 
-def _conflict(y: Array, label: Indices) -> ValueError | None:
-    """Return the error of interpolating equal rows whose outputs differ."""
-    deviation = np.abs(y - group_means(y, label)[label]).max(axis=1)
-    worst = int(deviation.argmax())
-    if deviation[worst] <= 1e-10 * np.abs(y).max():
-        return None
-    equal = np.flatnonzero(label == label[worst])
-    other = equal[np.abs(y[equal] - y[equal[0]]).max(axis=1).argmax()]
-    return ValueError(
-        f"rows {equal[0]} and {other} of X are equal but their outputs differ: with "
-        "alpha=0 no function interpolates both"
-    )
+class IdentityRegressor(RegressorMixin, BaseEstimator):
+    """Predicts its input, so that scorers can be applied to stored predictions."""
 
-
-def _radial(
-    kernel: RadialKernel, distances: Array, unit: float, n_features: int
-) -> Array:
-    """Evaluate a radial kernel at distances, a few rows at a time in the cache."""
-    K = np.empty_like(distances)
-    for rows in gen_batches(len(K), max(TILE // K.shape[1], 1)):
-        r = distances[rows] * (unit / kernel.beta)
-        np.minimum(r, FAR, out=r)
-        values = kernel.profile(r, n_features, K[rows])
-        if values.base is not K:  # one that a subclass has made
-            K[rows] = values
-    return K
-
-
-class HeldOut(RegressorMixin, BaseEstimator):
-    """Predicts what it is given: scorers ask an estimator."""
-
-    def fit(self, X: Any, y: Any = None) -> HeldOut:
+    def fit(self, X: Any, y: Any = None) -> IdentityRegressor:
         return self
 
     def predict(self, X: Any) -> Any:
         return X
 
 
-def scores_of_folds(scorer: Any, folds: list[Fold], held_out: Array, y: Array) -> Array:
-    """Score the predictions of each fold, which are joined in `held_out`."""
-    ends = np.cumsum([len(fold.test) for fold in folds])
-    parts = np.split(held_out, ends[:-1])
-    scores = [
-        scorer(HeldOut(), part.reshape((len(part), *y.shape[1:])), y[fold.test])
-        for part, fold in zip(parts, folds, strict=True)
-    ]
-    return np.array(scores, dtype=np.float64)
+def negative_squared_errors(estimator: Any, X: Array, y: Array) -> Array:
+    """Score every row by its squared error, averaged over the outputs."""
+    return -np.square(X - y).reshape(len(y), -1).mean(axis=1)
 
 
-def tabulated(
-    params: list[dict[str, Any]], outcomes: list[Outcome], *, pooled: bool
+def score_kernel(
+    kernel: Any, problem: Problem, alphas: Sequence[float], scorer: Any, pooled: bool
+) -> list[Array | ValueError]:
+    """Return the scores of all folds, or why there are none, for every alpha.
+
+    With `pooled`, the folds are single rows, which are scored together.
+    """
+    outcomes: list[Array | ValueError] = []
+    for found in problem.predict(kernel, alphas):
+        if isinstance(found, ValueError):
+            outcomes.append(found)
+            continue
+        outputs = [problem.y[split.test] for split in problem.splits]
+        if pooled:
+            found, outputs = [np.concatenate(found)], [problem.y]
+        pairs = zip(found, outputs, strict=True)
+        scores = [scorer(IdentityRegressor(), own, y) for own, y in pairs]
+        outcomes.append(np.hstack(scores))
+    return outcomes
+
+
+def tabulate(
+    params: list[dict[str, Any]],
+    outcomes: Sequence[Array | ValueError],
+    *,
+    has_splits: bool,
 ) -> tuple[dict[str, Any], list[str]]:
     """Tabulate the scores as GridSearchCV does, and name candidates without any."""
-    n_splits = max(
-        (len(one) for one in outcomes if not isinstance(one, ValueError)), default=0
-    )
-    scores = np.full((len(params), max(n_splits, 1)), np.nan)
+    failed, n_scores = [], 1
+    for candidate, outcome in zip(params, outcomes, strict=True):
+        if isinstance(outcome, ValueError):
+            failed.append(f"{candidate}: {outcome}")
+        else:
+            n_scores = len(outcome)
+    scores = np.full((len(params), n_scores), np.nan)
     for row, outcome in zip(scores, outcomes, strict=True):
         if not isinstance(outcome, ValueError):
             row[:] = outcome
     mean = scores.mean(axis=1)
-    failed = [
-        f"{one}: {why}"
-        for one, why in zip(params, outcomes, strict=True)
-        if isinstance(why, ValueError)
-    ]
     if np.isnan(mean).all():
         reason = failed[0] if failed else "the scores themselves are nan"
         raise ValueError(
@@ -353,12 +249,11 @@ def tabulated(
         )
     results: dict[str, Any] = {"params": params}
     for name in ("alpha", "beta", "kernel"):
-        values = np.empty(len(params), dtype=object)
-        values[:] = [one[name] for one in params]
+        values = np.array([one[name] for one in params], dtype=object)
         if all(isinstance(value, float | int) for value in values):
             values = values.astype(np.float64)
         results[f"param_{name}"] = np.ma.MaskedArray(values, mask=False)
-    if not pooled:
+    if has_splits:
         for i, column in enumerate(scores.T):
             results[f"split{i}_test_score"] = column.copy()
     results["mean_test_score"] = mean
