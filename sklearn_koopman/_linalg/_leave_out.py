@@ -29,7 +29,7 @@ from itertools import compress
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dgemm, dsyrk
-from scipy.linalg.lapack import dposv, dpotrs, dtrtri
+from scipy.linalg.lapack import dpocon, dposv, dpotrs, dtrtri
 
 from sklearn_koopman._linalg._cholesky import (
     MIN_RCOND,
@@ -307,6 +307,6 @@ def _solve(A: Array, rhs: Array, size: Array, min_rcond: float) -> Array:
     unit = unit[:, np.newaxis]
     lower, x, info = dposv(A, unit * rhs, lower=1, overwrite_a=1)
     # A system far below its unit has lost digits when it was made.
-    if info or not exact_rcond(lower, max(norm, 1.0)) > min_rcond:
+    if info or not dpocon(lower, max(norm, 1.0), uplo="L")[0] > min_rcond:
         raise np.linalg.LinAlgError("the system of the fold is nearly singular")
     return unit * x
