@@ -9,6 +9,7 @@ import joblib
 import numpy as np
 import pandas as pd
 import pytest
+from reference import dense_least_squares, kernel_matrix, monomials
 from scipy import linalg
 from scipy.interpolate import RBFInterpolator
 from scipy.linalg import LinAlgWarning
@@ -157,33 +158,23 @@ def test_operator_agrees_with_a_dense_computation(setting, pendulum):
     """
     X, X_next, y = pendulum.X[::4], pendulum.X_next[::4], pendulum.y[::4]
     model = KernelEDMD("matern32", beta=1.0, **setting).fit(X, y, X_next=X_next)
-    centers, kernel = model.centers_, MaternSobolev(1.0, 1.5)
-    degree = {None: 0, "constant": 1, "linear": 3}[setting["trend"]]
-
-    def monomials(x):
-        return np.hstack([np.ones((len(x), 1)), x])[:, :degree]
-
-    P = monomials(centers)
-    free = linalg.null_space(P.T) if degree else np.eye(len(centers))
+    centers, trend = model.centers_, setting["trend"]
 
     def functions(x):
-        return np.hstack([kernel(x, centers) @ free, monomials(x)])
+        kernels = kernel_matrix("matern32", x, centers)
+        return np.hstack([kernels, monomials(x, trend)])
 
     rows = np.arange(len(X))
     if setting["method"] == "interpolation" and setting["centers"] is not None:
         rows = model.center_indices_
-    penalty = np.zeros((len(centers), len(centers)))
-    k = free.shape[1]
-    penalty[:k, :k] = free.T @ kernel(centers) @ free
-    Phi, Phi_next = functions(X[rows]), functions(X_next[rows])
-    root = linalg.cholesky(penalty[:k, :k])
-    stacked = np.vstack(
-        [Phi, np.sqrt(setting["alpha"]) * np.hstack([root, np.zeros((k, degree))])]
+    solve = dense_least_squares(
+        kernel_matrix("matern32", centers, centers),
+        monomials(centers, trend),
+        kernel_matrix("matern32", X[rows], centers),
+        monomials(X[rows], trend),
+        setting["alpha"],
     )
-    right = np.hstack([y[rows, np.newaxis], Phi_next])
-    right = np.vstack([right, np.zeros((k, right.shape[1]))])
-    solution = np.linalg.lstsq(stacked, right, rcond=None)[0]
-    c, A = solution[:, 0], solution[:, 1:]
+    c, A = solve @ y[rows], solve @ functions(X_next[rows])
 
     x = np.random.default_rng(1).uniform(-2, 2, (20, 2))
     for y_pred in np.moveaxis(model.forecast(x, 3), 1, 0):

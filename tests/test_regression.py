@@ -9,6 +9,13 @@ import joblib
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from reference import (
+    dense_interpolant,
+    dense_least_squares,
+    kernel_matrix,
+    monomials,
+    squared_power,
+)
 from scipy.interpolate import RBFInterpolator
 from scipy.linalg import LinAlgWarning, null_space, solve_triangular
 from scipy.spatial.distance import cdist
@@ -48,12 +55,7 @@ def scattered():
 
 
 def matern(X, Y, beta):
-    z = np.sqrt(3) * cdist(X, Y) / beta
-    return (1 + z) * np.exp(-z)
-
-
-def monomials(X):
-    return np.column_stack([np.ones(len(X)), X])
+    return kernel_matrix("matern32", X, Y, beta)
 
 
 # --- The paper's pendulum ------------------------------------------------------------
@@ -138,11 +140,10 @@ def test_trend_equals_scipys_interpolator(scattered, trend, degree, alpha):
 def test_trend_coefficients_are_those_of_the_saddle_system(scattered):
     X, y, _ = scattered
     model = KoopmanKernelRegressor(beta=1.5, trend="linear").fit(X, y)
-    P = monomials(X - X.mean(axis=0))
-    saddle = np.block([[matern(X, X, 1.5), P], [P.T, np.zeros((3, 3))]])
-    solution = np.linalg.solve(saddle, np.vstack([y, np.zeros((3, 2))]))
-    assert_allclose(model.dual_coef_, solution[:-3], atol=1e-9)
-    assert_allclose(model.trend_coef_, solution[-3:], atol=1e-9)
+    P = monomials(X, origin=X.mean(axis=0))
+    c, b = dense_interpolant(matern(X, X, 1.5), P, y)
+    assert_allclose(model.dual_coef_, c, atol=1e-9)
+    assert_allclose(model.trend_coef_, b, atol=1e-9)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -202,10 +203,11 @@ def test_least_squares_equals_stacked_lstsq(scattered, alpha, centers):
         beta=1.5, centers=choice, method="least_squares", alpha=alpha
     ).fit(X, y)
     Xi = model.centers_
-    L = np.linalg.cholesky(matern(Xi, Xi, 1.5))
-    A = np.vstack([matern(X, Xi, 1.5), np.sqrt(alpha) * L.T])
-    c = np.linalg.lstsq(A, np.vstack([y, np.zeros((len(Xi), 2))]), rcond=None)[0]
-    expected = matern(X_new, Xi, 1.5) @ c
+    A, nothing = matern(X, Xi, 1.5), monomials(Xi, None)
+    solve = dense_least_squares(
+        matern(Xi, Xi, 1.5), nothing, A, monomials(X, None), alpha
+    )
+    expected = matern(X_new, Xi, 1.5) @ solve @ y
     assert_allclose(model.predict(X_new), expected, rtol=1e-8, atol=1e-9)
 
 
@@ -220,23 +222,14 @@ def test_least_squares_with_trend_equals_constrained_lstsq(scattered, trend, alp
         alpha=alpha,
         trend=trend,
     ).fit(X, y)
-    Xi, n_terms = model.centers_, {"constant": 1, "linear": 3}[trend]
-
-    def P(Z):
-        return monomials(Z)[:, :n_terms]
-
-    N = null_space(P(Xi).T)
-    L = np.linalg.cholesky(matern(Xi, Xi, 1.5))
-    A = np.block(
-        [
-            [matern(X, Xi, 1.5) @ N, P(X)],
-            [np.sqrt(alpha) * L.T @ N, np.zeros((len(Xi), n_terms))],
-        ]
+    Xi = model.centers_
+    P = monomials(Xi, trend)
+    solve = dense_least_squares(
+        matern(Xi, Xi, 1.5), P, matern(X, Xi, 1.5), monomials(X, trend), alpha
     )
-    z = np.linalg.lstsq(A, np.vstack([y, np.zeros((len(Xi), 2))]), rcond=None)[0]
-    expected = matern(X_new, Xi, 1.5) @ N @ z[:-n_terms] + P(X_new) @ z[-n_terms:]
-    assert_allclose(model.predict(X_new), expected, rtol=1e-8, atol=1e-9)
-    assert_allclose(P(Xi).T @ model.dual_coef_, 0, atol=1e-9)
+    functions = np.hstack([matern(X_new, Xi, 1.5), monomials(X_new, trend)])
+    assert_allclose(model.predict(X_new), functions @ solve @ y, rtol=1e-8, atol=1e-9)
+    assert_allclose(P.T @ model.dual_coef_, 0, atol=1e-9)
 
 
 @pytest.mark.parametrize("trend", [None, "constant", "linear"])
@@ -390,7 +383,7 @@ def test_power_function_is_the_schur_complement(scattered, alpha):
     X, y, X_new = scattered
     model = KoopmanKernelRegressor(beta=1.5, alpha=alpha).fit(X, y)
     k, K = matern(X, X_new, 1.5), matern(X, X, 1.5) + alpha * np.eye(len(X))
-    schur = 1 - np.sum(k * np.linalg.solve(K, k), axis=0)
+    schur = squared_power(K, monomials(X, None), k, monomials(X_new, None))
     assert_allclose(model.power_function(X_new), np.sqrt(schur), atol=1e-8)
     assert model.power_function(X_new).max() <= 1
     if alpha == 0:
@@ -401,11 +394,8 @@ def test_power_function_is_the_schur_complement(scattered, alpha):
 def test_power_function_with_trend_is_that_of_universal_kriging(scattered, trend):
     X, y, X_new = scattered
     model = KoopmanKernelRegressor(beta=1.5, trend=trend).fit(X, y)
-    n_terms = {"constant": 1, "linear": 3}[trend]
-    P = monomials(X)[:, :n_terms]
-    saddle = np.block([[matern(X, X, 1.5), P], [P.T, np.zeros((n_terms, n_terms))]])
-    k = np.vstack([matern(X, X_new, 1.5), monomials(X_new)[:, :n_terms].T])
-    variance = 1 - np.sum(k * np.linalg.solve(saddle, k), axis=0)
+    P, p = monomials(X, trend), monomials(X_new, trend)
+    variance = squared_power(matern(X, X, 1.5), P, matern(X, X_new, 1.5), p)
     assert_allclose(model.power_function(X_new), np.sqrt(variance), atol=1e-8)
 
 

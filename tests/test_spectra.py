@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.polynomial.hermite_e import hermegauss, hermeval
 from numpy.testing import assert_allclose
-from scipy.spatial.distance import cdist
+from reference import dense_interpolant, kernel_matrix, monomials
 from sklearn.gaussian_process.kernels import DotProduct
 
 from sklearn_koopman import KernelEDMD, SeparatedCenterSelector
@@ -613,23 +613,9 @@ def test_residuals_of_interpolation_are_measured_off_the_centres(twisted, trend,
 
 def dense_estimate(X, values, X_new, trend, alpha):
     """Interpolate, or smooth, by the bordered system with Matern-3/2 of scale 1.5."""
-
-    def matern(A, B):
-        z = np.sqrt(3) * cdist(A, B) / 1.5
-        return (1 + z) * np.exp(-z)
-
-    def polynomials(A):
-        columns = np.column_stack([np.ones(len(A)), A])
-        return columns[:, : {None: 0, "constant": 1, "linear": 3}[trend]]
-
-    P = polynomials(X)
-    q = P.shape[1]
-    system = np.block(
-        [[matern(X, X) + alpha * np.eye(len(X)), P], [P.T, np.zeros((q, q))]]
-    )
-    right = np.vstack([values, np.zeros((q, values.shape[1]))])
-    coefficients = np.linalg.solve(system.astype(complex), right)
-    return np.hstack([matern(X_new, X), polynomials(X_new)]) @ coefficients
+    K = kernel_matrix("matern32", X, X, 1.5) + alpha * np.eye(len(X))
+    c, b = dense_interpolant(K, monomials(X, trend), values)
+    return kernel_matrix("matern32", X_new, X, 1.5) @ c + monomials(X_new, trend) @ b
 
 
 @pytest.mark.parametrize("few_others", [False, True])
