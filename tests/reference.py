@@ -99,3 +99,23 @@ def squared_power(K, P, k, p):
     right = np.vstack([k, p.T])
     solved = np.linalg.solve(saddle_point_matrix(K, P), right)
     return 1 - np.einsum("ij,ij->j", right, solved)
+
+
+def attainable_residual(A, b, P=None):
+    """Return the relative residual that rounding allows of A x = b, for every column.
+
+    A product with A has errors of eps |A| |x|, so that no vector near the solution x
+    is known to have a residual below eps |A| |x| / |b|. With columns P, the system is
+    that in the orthogonal complement of P.
+    """
+    if P is not None and P.shape[1]:
+        N = null_space(P.T)
+        A, b = N.T @ A @ N, N.T @ b
+    size = np.linalg.norm(b, axis=0)
+    if not len(A) or not size.any():
+        return 0.0
+    values, vectors = np.linalg.eigh(A)
+    values = np.maximum(values, np.finfo(float).eps * values[-1])
+    x = (vectors / values) @ (vectors.T @ b)
+    ratio = np.linalg.norm(x, axis=0)[size > 0] / size[size > 0]
+    return float(np.finfo(float).eps * values[-1] * ratio.max())
