@@ -8,6 +8,7 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pandas as pd
 import pytest
+from designs import every_pair
 from numpy.testing import assert_allclose, assert_array_equal
 from reference import monomials, profile, saddle_point_matrix
 from scipy.linalg import LinAlgWarning, null_space
@@ -143,10 +144,7 @@ def test_power_function_of_one_and_two_centres():
 
 
 @pytest.mark.filterwarnings("ignore:.*off the manifold:UserWarning")
-@pytest.mark.parametrize("trend", [None, "linear"])
-@pytest.mark.parametrize("alpha", [0.0, 1e-3])
-@pytest.mark.parametrize("d", [2, 3])
-@pytest.mark.parametrize("kernel", KERNELS)
+@every_pair(kernel=KERNELS, d=[2, 3], alpha=[0.0, 1e-3], trend=[None, "linear"])
 def test_bound_holds_for_functions_of_known_norm(kernel, d, alpha, trend):
     rng = np.random.default_rng(3)
     X, X_new = rng.uniform(-1, 1, (50, d)), rng.uniform(-1.5, 1.5, (9_000, d))
@@ -247,9 +245,7 @@ def test_bound_is_norm_times_power_for_each_output(scattered):
 # --- The norm, estimated -------------------------------------------------------------
 
 
-@pytest.mark.parametrize("alpha", [0.0, 0.2])
-@pytest.mark.parametrize("trend", TRENDS)
-@pytest.mark.parametrize("n_samples", [59, 60])
+@every_pair(n_samples=[59, 60], trend=TRENDS, alpha=[0.0, 0.2])
 def test_norm_is_extrapolated_from_half_of_the_centres(
     scattered, trend, alpha, n_samples
 ):

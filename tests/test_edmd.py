@@ -9,15 +9,14 @@ import joblib
 import numpy as np
 import pandas as pd
 import pytest
+from designs import covering
 from reference import dense_least_squares, kernel_matrix, monomials
 from scipy import linalg
-from scipy.interpolate import RBFInterpolator
 from scipy.linalg import LinAlgWarning
 from sklearn import config_context
-from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.gaussian_process.kernels import DotProduct
-from sklearn.kernel_ridge import KernelRidge
 from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
@@ -34,13 +33,13 @@ from sklearn_koopman.datasets import make_pendulum
 from sklearn_koopman.kernels import MaternSobolev, Wendland
 from sklearn_koopman.trajectories import successor_rows
 
-SETTINGS = [
-    {"method": method, "trend": trend, "alpha": alpha, "centers": centers}
-    for method in ("interpolation", "least_squares")
-    for trend in (None, "constant", "linear")
-    for alpha in (0.0, 1e-3)
-    for centers in (None, SeparatedCenterSelector(0.4))
-]
+CHOICES = {
+    "method": ["interpolation", "least_squares"],
+    "trend": [None, "constant", "linear"],
+    "alpha": [0.0, 1e-3],
+    "centers": [None, SeparatedCenterSelector(0.4)],
+}
+SETTINGS = [dict(zip(CHOICES, row, strict=True)) for row in covering(**CHOICES)]
 
 
 def name_of(setting):
@@ -320,81 +319,6 @@ def test_prediction_is_of_the_next_state_not_of_the_present(pendulum):
     model.fit(trajectory[:-1], pendulum.y)
     forecast = model.forecast(trajectory[:1], 100)[0]
     assert np.abs(forecast - pendulum.G(trajectory[1:101])).max() < 1e-6
-
-
-class OnIncrements(RegressorMixin, BaseEstimator):
-    def __init__(self, gamma=1.0, alpha=1.0):
-        self.gamma = gamma
-        self.alpha = alpha
-
-    def fit(self, X, y):
-        ridge = KernelRidge(kernel="rbf", gamma=self.gamma, alpha=self.alpha)
-        self.ridge_ = ridge.fit(X, y - X)
-        return self
-
-    def predict(self, X):
-        return X + self.ridge_.predict(X)
-
-
-class Interpolator(RegressorMixin, BaseEstimator):
-    def __init__(self, kernel="cubic", epsilon=1.0):
-        self.kernel = kernel
-        self.epsilon = epsilon
-
-    def fit(self, X, y):
-        self.rbf_ = RBFInterpolator(
-            X, y, kernel=self.kernel, epsilon=self.epsilon, degree=1
-        )
-        return self
-
-    def predict(self, X):
-        return self.rbf_(X)
-
-
-@pytest.mark.filterwarnings("ignore:Ill-conditioned matrix")  # KernelRidge
-def test_next_state_of_fresh_pendulums_beside_peers():
-    """Between those learned from; all tuned over the same folds, ours last."""
-
-    def released_at(angles):
-        start = np.column_stack([np.zeros(len(angles)), angles])
-        return make_pendulum(40, initial=start, step=0.2)
-
-    train = released_at(np.linspace(0.4, 2.4, 5))
-    fresh = released_at(np.linspace(0.6, 2.2, 9))
-    errors = []
-    for estimator, grid in (
-        (
-            OnIncrements(),
-            {"gamma": [0.03, 0.1, 0.3, 1.0], "alpha": [1e-14, 1e-12, 1e-9, 1e-6]},
-        ),
-        (
-            Interpolator(),
-            [
-                {"kernel": ["thin_plate_spline", "cubic"]},
-                {
-                    "kernel": ["gaussian", "inverse_multiquadric", "multiquadric"],
-                    "epsilon": [0.2, 0.3, 0.4, 0.6, 0.8],
-                },
-            ],
-        ),
-        (
-            KernelEDMD("gaussian", trend="linear", n_modes=0),
-            {"beta": [1.0, 1.5, 2.0, 3.0], "alpha": [0.0, 1e-14, 1e-12]},
-        ),
-    ):
-        search = GridSearchCV(
-            estimator,
-            grid,
-            cv=TrajectoryKFold(4),
-            scoring="neg_root_mean_squared_error",
-        )
-        pairs = {"X_next": train.X_next} if isinstance(estimator, KernelEDMD) else {}
-        with warnings.catch_warnings():
-            # Flat Gaussians drop centres, which is what they are tried for.
-            warnings.simplefilter("ignore", LinAlgWarning)
-            search.fit(train.X, train.X_next, groups=train.groups, **pairs)
-        errors.append(np.sqrt(np.mean((search.predict(fresh.X) - fresh.X_next) ** 2)))
-    assert errors[2] < min(errors[:2])
 
 
 # Forecasts

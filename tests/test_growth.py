@@ -9,6 +9,7 @@ import joblib
 import numpy as np
 import pandas as pd
 import pytest
+from designs import every_pair
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from joblib.parallel import BACKENDS, ThreadingBackend
@@ -156,11 +157,7 @@ def assert_hidden(model, X, y, message):
     assert message in str(error.value.__cause__)
 
 
-@pytest.mark.parametrize("name", SETTINGS)
-@pytest.mark.parametrize(
-    ("trend", "n_outputs"),
-    [(None, None), ("constant", None), ("linear", 1), ("linear", 2)],
-)
+@every_pair(name=SETTINGS, trend=TRENDS, n_outputs=[None, 1, 2])
 def test_batches_equal_one_fit(name, trend, n_outputs):
     parameters, noise = SETTINGS[name]
     X, y = samples(noise=noise, n_outputs=n_outputs)
@@ -209,9 +206,7 @@ def test_grown_interpolant_solves_the_printed_system(trend, alpha):
     assert_allclose(model.power_function(T) ** 2, squared, atol=1e-10)
 
 
-@pytest.mark.parametrize("trend", TRENDS)
-@pytest.mark.parametrize("alpha", [0.0, 0.3])
-@pytest.mark.parametrize("n_centers", [12, 150])
+@every_pair(n_centers=[12, 150], trend=TRENDS, alpha=[0.0, 0.3])
 def test_accumulated_regression_is_the_dense_one(trend, alpha, n_centers):
     X, y = samples(n_centers + 150)
     centers = np.random.default_rng(1).uniform(size=(n_centers, 2))

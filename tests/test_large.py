@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+from designs import every_pair
 from reference import attainable_residual, monomials
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
@@ -111,9 +112,14 @@ def assert_agree(X, y, at, solver=None, tol=1e-8, **parameters):
     return iterative, dense
 
 
+@pytest.mark.slow
+@parametrize_with_checks([KoopmanKernelRegressor(solver=ConjugateGradient())])
+def test_scikit_learn_check_of_interpolation(estimator, check):
+    check(estimator)
+
+
 @parametrize_with_checks(
     [
-        KoopmanKernelRegressor(solver=ConjugateGradient()),
         KoopmanKernelRegressor(
             centers=SeparatedCenterSelector(1.0),
             method="least_squares",
@@ -122,16 +128,18 @@ def assert_agree(X, y, at, solver=None, tol=1e-8, **parameters):
         ),
     ]
 )
-def test_scikit_learn_check(estimator, check):
+def test_scikit_learn_check_of_least_squares(estimator, check):
     check(estimator)
 
 
 # Agreement with the dense solver.
 
 
-@pytest.mark.parametrize("trend", [None, "constant", "linear"])
-@pytest.mark.parametrize("alpha", [0.0, 1e-3, 1.0, 1e10])
-@pytest.mark.parametrize("preconditioner", ["auto", "neighbors", "nystroem"])
+@every_pair(
+    trend=[None, "constant", "linear"],
+    alpha=[0.0, 1e-3, 1.0, 1e10],
+    preconditioner=["auto", "neighbors", "nystroem"],
+)
 def test_interpolation(trend, alpha, preconditioner):
     solver = ConjugateGradient(tol=1e-12, preconditioner=preconditioner, rank=150)
     model, dense = assert_agree(
@@ -142,9 +150,11 @@ def test_interpolation(trend, alpha, preconditioner):
     assert not hasattr(model, "rcond_")
 
 
-@pytest.mark.parametrize("trend", [None, "constant", "linear"])
-@pytest.mark.parametrize("alpha", [0.0, 1e-6, 1.0, 1e10])
-@pytest.mark.parametrize("kernel", ["matern12", "matern32", "wendland_c2"])
+@every_pair(
+    trend=[None, "constant", "linear"],
+    alpha=[0.0, 1e-6, 1.0, 1e10],
+    kernel=["matern12", "matern32", "wendland_c2"],
+)
 def test_least_squares_at_chosen_centres(trend, alpha, kernel):
     model, dense = assert_agree(
         STATES,
@@ -195,11 +205,8 @@ def test_auto_takes_columns_only_where_they_suffice():
     assert iterations(rank=10) != iterations(rank=10, preconditioner="nystroem")
 
 
-@pytest.mark.parametrize("trend", [None, "linear"])
-@pytest.mark.parametrize("method", ["interpolation", "least_squares"])
-@pytest.mark.parametrize(
-    "kernel",
-    [
+@every_pair(
+    kernel=[
         1.5 * RBF(0.3) + WhiteKernel(0.1),
         2.0 * Matern(1.0, nu=1.5),
         MaternSobolev(1.0) + WhiteKernel(1e-2),
@@ -207,6 +214,8 @@ def test_auto_takes_columns_only_where_they_suffice():
         DotProduct() + WhiteKernel(1.0),
         Wendland(0.5) * MaternSobolev(1.0),
     ],
+    method=["interpolation", "least_squares"],
+    trend=[None, "linear"],
 )
 def test_foreign_kernels(kernel, method, trend):
     centers = None if method == "interpolation" else STATES[:60]
@@ -222,9 +231,11 @@ def test_foreign_kernels(kernel, method, trend):
     )
 
 
-@pytest.mark.parametrize("alpha", [1e-2, 3.0])
-@pytest.mark.parametrize("method", ["interpolation", "least_squares"])
-@pytest.mark.parametrize("trend", [None, "linear"])
+@every_pair(
+    alpha=[1e-2, 3.0],
+    method=["interpolation", "least_squares"],
+    trend=[None, "linear"],
+)
 def test_equal_rows_count(alpha, method, trend):
     X = np.vstack([STATES, STATES[:50], STATES[:20]])
     y = np.vstack([Y, Y[:50] + 0.1, Y[:20] - 0.3])

@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+from designs import every_pair
 from reference import kernel_matrix
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 
@@ -42,9 +43,7 @@ PLACES = {
 }
 
 
-@pytest.mark.parametrize("name", KERNELS)
-@pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("n_features", [4, 5, 12])
+@every_pair(name=KERNELS, place=PLACES, n_features=[4, 5, 12])
 def test_products_are_as_accurate_as_differences(name, place, n_features):
     size, offset, beta = PLACES[place]
     rng = np.random.default_rng(0)
@@ -123,7 +122,7 @@ def test_clusters_whose_squares_hide_distances():
 @pytest.mark.parametrize("n_features", [2, 6])
 def test_gram_product_of_any_number_of_centres(n_jobs, n_features):
     rng = np.random.default_rng(3)
-    for n in [1, 2, 3, 31, 43, 50, 62, 63, 64, 65, 100, 113, 127, 128, 129, 200, 700]:
+    for n in [1, 2, 3, 31, 43, 50, 62, 63, 64, 65, 100, 113, 127, 128, 129, 200, 300]:
         points, V = rng.normal(size=(n, n_features)), rng.normal(size=(n, 2))
         sections = KernelSections(MaternSobolev(2.0), points)
         expected = kernel_matrix("matern32", points, points, 2.0) @ V
@@ -224,12 +223,12 @@ def test_distances_beyond_the_range_of_doubles():
         np.testing.assert_allclose(K.ravel()[1:], 0.0, atol=1e-70)
 
 
-@pytest.mark.parametrize("n_features", range(1, 11))
+@pytest.mark.parametrize("n_features", [1, 2, 3, 4, 7, 10])
 @pytest.mark.parametrize("smoothness", [0, 2, 4, 6])
 def test_sparse_matrix_in_any_dimension(n_features, smoothness):
     rng = np.random.default_rng(8)
-    centers = rng.uniform(size=(600, n_features))
-    X = np.vstack([centers[:50], rng.uniform(-0.2, 1.2, size=(150, n_features))])
+    centers = rng.uniform(size=(200, n_features))
+    X = np.vstack([centers[:30], rng.uniform(-0.2, 1.2, size=(70, n_features))])
     beta = 0.35 * np.sqrt(n_features)
     sections = KernelSections(Wendland(beta, smoothness, max(n_features, 3)), centers)
     expected = kernel_matrix(f"wendland_c{smoothness}", X, centers, beta)

@@ -101,7 +101,7 @@ def rounding_of_matrix(model):
     """Return the size of rounding errors in the whitened matrix of M rows.
 
     Its entries have errors of eps / sqrt(rcond_), as its largest eigenvalues are of
-    size one. The factor of 10 M stands for the sums in products and in the QR algorithm.
+    size one. The factor of 10 M stands for the sums in products and the QR algorithm.
     """
     error = np.finfo(float).eps / np.sqrt(model.rcond_)
     return 10 * len(model.koopman_matrix_) * error
@@ -654,9 +654,9 @@ def dense_estimate(X, values, X_new, trend, alpha):
     return kernel_matrix("matern32", X_new, X, 1.5) @ c + monomials(X_new, trend) @ b
 
 
-@pytest.mark.parametrize("few_others", [False, True])
-@pytest.mark.parametrize("alpha", [0.0, 1e-2])
-@pytest.mark.parametrize("trend", [None, "constant", "linear"])
+@every_pair(
+    trend=[None, "constant", "linear"], alpha=[0.0, 1e-2], few_others=[False, True]
+)
 def test_residuals_without_other_rows_leave_out_one_centre_at_a_time(
     twisted, trend, alpha, few_others
 ):
