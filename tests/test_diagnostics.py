@@ -185,10 +185,14 @@ ROTATION = TURN * (np.sqrt(5) - 1) / 2
     [
         np.linspace(0, TURN, 60, endpoint=False),
         np.linspace(0, TURN, 1000, endpoint=False),
-        np.linspace(0, TURN, 5000, endpoint=False),
+        pytest.param(
+            np.linspace(0, TURN, 5000, endpoint=False), marks=pytest.mark.slow
+        ),
         np.random.default_rng(0).permutation(np.linspace(0, TURN, 999)),
         np.random.default_rng(1).uniform(0, TURN, 200),
-        np.random.default_rng(2).uniform(0, TURN, 3000),
+        pytest.param(
+            np.random.default_rng(2).uniform(0, TURN, 3000), marks=pytest.mark.slow
+        ),
         ROTATION * np.arange(1000),
         0.1 * np.arange(1000),  # 16 turns
         0.01 * np.arange(940),  # one turn and a half
@@ -230,7 +234,9 @@ def test_geodesic_distances_on_the_circle_are_arcs(angles, separation):
         assert fill_distance(X[rows], X) == pytest.approx(chord, rel=1e-9)
 
 
-@pytest.mark.parametrize("n_samples", [1000, 5000])
+@pytest.mark.parametrize(
+    "n_samples", [1000, pytest.param(5000, marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("shuffled", [False, True])
 def test_geodesic_does_not_jump_the_gap_of_a_c(n_samples, shuffled):
     angles = np.linspace(0.1, TURN - 0.1, n_samples)

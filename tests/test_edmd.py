@@ -228,7 +228,9 @@ def fresh_residuals(model, X, X_next):
     return np.sqrt(defect / np.mean(np.abs(phi) ** 2, axis=0))
 
 
-@pytest.mark.parametrize("kernel", ["matern32", "wendland_c4"])
+@pytest.mark.parametrize(
+    "kernel", ["matern32", pytest.param("wendland_c4", marks=pytest.mark.slow)]
+)
 def test_residuals_of_interpolation_are_honest(kernel):
     """What seems true on few states holds on fresh ones: chaos, and random walks."""
     rng = np.random.default_rng(0)

@@ -169,7 +169,7 @@ def test_batches_equal_one_fit(name, trend, n_outputs):
     assert_same(grown(model, X, y, cuts), expected, np.vstack([X, X + 0.03]))
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(data=st.data())
 @pytest.mark.parametrize("name", SETTINGS)
 def test_any_division_equals_one_fit(name, data):
@@ -278,7 +278,7 @@ def test_equal_rows_that_contradict_each_other():
     assert_array_equal(model.center_indices_, np.arange(41))
 
 
-@pytest.mark.parametrize("trend", TRENDS)
+@pytest.mark.parametrize("trend", [None, "linear"])
 def test_hundreds_of_batches(trend):
     X, y = samples(260, repeats=False)
     cuts = np.arange(100, 260)
@@ -1004,7 +1004,7 @@ def test_residuals_below_rounding_are_zero():
     ],
 )
 def test_regression_of_arrays_on_disk(tmp_path, trend):
-    n, d = 100_000, 32
+    n, d = 40_000, 32
     rng = np.random.default_rng(0)
     X = np.memmap(tmp_path / "X", dtype=np.float64, mode="w+", shape=(n, d))
     y = np.memmap(tmp_path / "y", dtype=np.float64, mode="w+", shape=(n, 2))
@@ -1027,8 +1027,8 @@ def test_regression_of_arrays_on_disk(tmp_path, trend):
     assert_allclose(model.dual_coef_, expected.dual_coef_, rtol=1e-12)
     assert_allclose(model.noise_std_, expected.noise_std_, rtol=1e-12)
     streamed = clone(model)
-    for start in range(0, n, 25_000):
-        streamed.partial_fit(X[start : start + 25_000], y[start : start + 25_000])
+    for start in range(0, n, 10_000):
+        streamed.partial_fit(X[start : start + 10_000], y[start : start + 10_000])
     T = np.array(X[:100])
     assert_allclose(streamed.predict(T), expected.predict(T), atol=1e-9)
     assert_allclose(streamed.noise_std_, expected.noise_std_, rtol=1e-6)
@@ -1090,6 +1090,7 @@ def assert_shared(model, X, y):
     assert_allclose(model.signal_std_, serial.signal_std_, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_workers_share_the_rows(monkeypatch, tmp_path):
     monkeypatch.setattr(_least_squares, "PARALLEL_WORK", 0)
     model, X, y = regression(n_jobs=2)

@@ -118,16 +118,16 @@ def test_clusters_whose_squares_hide_distances():
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("n_jobs", [1, 2, 7])
 @pytest.mark.parametrize("n_features", [2, 6])
-def test_gram_product_of_any_number_of_centres(n_jobs, n_features):
+def test_gram_product_of_any_number_of_centres(n_features):
     rng = np.random.default_rng(3)
-    for n in [1, 2, 3, 31, 43, 50, 62, 63, 64, 65, 100, 113, 127, 128, 129, 200, 300]:
+    for n in [1, 2, 3, 31, 43, 50, 62, 63, 64, 65, 100, 113, 127, 128, 129, 200, 700]:
         points, V = rng.normal(size=(n, n_features)), rng.normal(size=(n, 2))
         sections = KernelSections(MaternSobolev(2.0), points)
         expected = kernel_matrix("matern32", points, points, 2.0) @ V
-        found = gram_product(sections, points, V, n_jobs)
-        assert np.abs(found - expected).max() < 1e-12 * n
+        for n_jobs in (1, 2, 7):
+            found = gram_product(sections, points, V, n_jobs)
+            assert np.abs(found - expected).max() < 1e-12 * n
 
 
 def test_gram_product_of_foreign_kernel_leaves_out_noise():
