@@ -651,7 +651,9 @@ def test_pipeline_separates_scaled_states():
     assert_allclose(pipeline.transform(X), all_distances(scaled, scaled[kept]))
 
 
-@every_order
+@pytest.mark.parametrize(
+    "order", ["sequential", pytest.param("farthest", marks=pytest.mark.slow)]
+)
 def test_memory_is_linear(order):
     X = np.random.default_rng(0).normal(size=(20_000, 3))
     selector = SeparatedCenterSelector(0.2, order=order)

@@ -257,7 +257,7 @@ def test_residuals_of_interpolation_are_honest(kernel):
             assert np.abs(model.eigenvalues_[:3]).min() > 0.05
 
 
-@pytest.mark.parametrize("alpha", [0.0, 1e-4])
+@pytest.mark.parametrize("alpha", [0.0, pytest.param(1e-4, marks=pytest.mark.slow)])
 def test_residuals_do_not_depend_on_outputs_being_given(alpha):
     """Least squares at every state: the clock leaves the last row without successor."""
     x = [0.3]

@@ -22,6 +22,7 @@ def table(text, first_cell):
     return lines
 
 
+@pytest.mark.slow
 def test_pendulum_surface(tmp_path):
     out = run("plot_pendulum_surface.py", tmp_path)
     assert "256 samples" in out

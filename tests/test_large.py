@@ -303,7 +303,9 @@ def test_identity_and_full_matrices(beta, preconditioner):
             )
 
 
-@pytest.mark.parametrize("beta", [1e-8, 0.05, 0.08])
+@pytest.mark.parametrize(
+    "beta", [1e-8, pytest.param(0.05, marks=pytest.mark.slow), 0.08]
+)
 @pytest.mark.parametrize("trend", [None, "linear"])
 def test_sparse_least_squares(beta, trend):
     rows = np.random.default_rng(1).uniform(size=(600, 2))

@@ -121,7 +121,7 @@ def test_clusters_whose_squares_hide_distances():
 @pytest.mark.parametrize("n_features", [2, 6])
 def test_gram_product_of_any_number_of_centres(n_features):
     rng = np.random.default_rng(3)
-    for n in [1, 2, 3, 31, 43, 50, 62, 63, 64, 65, 100, 113, 127, 128, 129, 200, 700]:
+    for n in [1, 2, 3, 31, 43, 50, 62, 63, 64, 65, 100, 113, 127, 128, 129, 200, 300]:
         points, V = rng.normal(size=(n, n_features)), rng.normal(size=(n, 2))
         sections = KernelSections(MaternSobolev(2.0), points)
         expected = kernel_matrix("matern32", points, points, 2.0) @ V

@@ -558,6 +558,11 @@ def test_eigenfunction_of_the_pendulum_is_its_phase(
 # --- Spurious eigenvalues ------------------------------------------------------------
 
 
+every_noisy_kernel = pytest.mark.parametrize(
+    "kernel", ["wendland_c4", pytest.param("matern32", marks=pytest.mark.slow)]
+)
+
+
 @cache
 def noisy_rotation(n, separation, kernel):
     """A model of a rotation measured with noise, and its residuals on new pairs.
@@ -582,7 +587,7 @@ def noisy_rotation(n, separation, kernel):
     return model, spurious, root_mean_square(defect) / root_mean_square(phi)
 
 
-@pytest.mark.parametrize("kernel", ["wendland_c4", "matern32"])
+@every_noisy_kernel
 @pytest.mark.parametrize(("n", "separation"), [(2000, 0.2), (300, None)])
 def test_noise_makes_spurious_eigenvalues_that_are_not_trusted(kernel, n, separation):
     model, spurious, _ = noisy_rotation(n, separation, kernel)
@@ -594,7 +599,7 @@ def test_noise_makes_spurious_eigenvalues_that_are_not_trusted(kernel, n, separa
     assert distrust[spurious].min() > 0.9
 
 
-@pytest.mark.parametrize("kernel", ["wendland_c4", "matern32"])
+@every_noisy_kernel
 @pytest.mark.parametrize(
     ("n", "separation"), [(2000, 0.2), (300, None)], ids=["selector", "all"]
 )
