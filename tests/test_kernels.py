@@ -473,11 +473,11 @@ def test_gaussian_process_recovers_the_scale(truth):
 
 
 @every_kernel
-@pytest.mark.parametrize("beta", [0, -1.5, np.nan, np.inf, "1", None])
-def test_bad_beta(make, beta):
-    message = rf"^beta must be .*positive.*got {beta!r}\."
-    with pytest.raises(ValueError, match=message):
-        make(beta=beta)(np.eye(2))
+def test_bad_beta(make):
+    for beta in (0, -1.5, np.nan, np.inf, "1", None):
+        message = rf"^beta must be .*positive.*got {beta!r}\."
+        with pytest.raises(ValueError, match=message):
+            make(beta=beta)(np.eye(2))
 
 
 @pytest.mark.parametrize(

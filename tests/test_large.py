@@ -308,8 +308,8 @@ def test_identity_and_full_matrices(beta, preconditioner):
 )
 @pytest.mark.parametrize("trend", [None, "linear"])
 def test_sparse_least_squares(beta, trend):
-    rows = np.random.default_rng(1).uniform(size=(600, 2))
-    X = np.vstack([SQUARE[:400], rows])
+    rows = np.random.default_rng(1).uniform(size=(400, 2))
+    X = np.vstack([SQUARE[:250], rows])
     assert_agree(
         X,
         outputs(X),
@@ -318,7 +318,7 @@ def test_sparse_least_squares(beta, trend):
         beta=beta,
         alpha=1e-2,
         trend=trend,
-        centers=SQUARE[:400],
+        centers=SQUARE[:250],
         method="least_squares",
     )
 
@@ -1090,9 +1090,9 @@ def test_more_rows_per_centre_take_no_more_iterations():
 @pytest.mark.parametrize("name", KERNELS)
 def test_every_kernel(name):
     assert_agree(
-        SQUARE[:300],
-        outputs(SQUARE[:300]),
-        SQUARE[300:330],
+        SQUARE[:200],
+        outputs(SQUARE[:200]),
+        SQUARE[200:230],
         kernel=name,
         beta=0.3,
         alpha=1e-3,
