@@ -8,7 +8,9 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pandas as pd
 import pytest
+from designs import every_pair
 from numpy.testing import assert_allclose, assert_array_equal
+from reference import monomials, profile, saddle_point_matrix
 from scipy.linalg import LinAlgWarning, null_space
 from scipy.spatial.distance import cdist
 from sklearn.base import clone
@@ -28,11 +30,6 @@ def scattered():
     X = rng.uniform(-1, 1, (60, 2))
     y = np.column_stack([np.sin(X[:, 0]) + X[:, 1], np.cos(X).prod(axis=1)])
     return X, y, X[rng.integers(0, 60, 200)] + rng.normal(0, 0.03, (200, 2))
-
-
-def polynomials(X, trend):
-    n_terms = {None: 0, "constant": 1, "linear": 1 + X.shape[1]}[trend]
-    return np.column_stack([np.ones(len(X)), X])[:, :n_terms]
 
 
 def interpolant_norm(K, P, u):
@@ -61,44 +58,13 @@ def norms(model, X):
 # --- Power function ------------------------------------------------------------------
 
 
-def profile(name, r, d):
-    """Radial functions in decimal arithmetic, written down from the literature."""
-    family, _, degree = name.partition("_c")
-    if family == "wendland":
-        k = int(degree) // 2
-        n = Decimal(max(d, 3) // 2 + k + 1)
-        q = {
-            0: 1,
-            1: (n + 1) * r + 1,
-            2: ((n**2 + 4 * n + 3) * r**2 + (3 * n + 6) * r + 3) / 3,
-            3: (
-                (n**3 + 9 * n**2 + 23 * n + 15) * r**3
-                + (6 * n**2 + 36 * n + 45) * r**2
-                + (15 * n + 45) * r
-                + 15
-            )
-            / 15,
-        }[k]
-        return max(1 - r, Decimal(0)) ** (n + k) * q
-    return {
-        "matern12": lambda: (-r).exp(),
-        "matern32": lambda: (
-            (1 + Decimal(3).sqrt() * r) * (-Decimal(3).sqrt() * r).exp()
-        ),
-        "matern52": lambda: (
-            (1 + Decimal(5).sqrt() * r + 5 * r**2 / 3) * (-Decimal(5).sqrt() * r).exp()
-        ),
-        "gaussian": lambda: (-(r**2) / 2).exp(),
-        "inverse_multiquadric": lambda: 1 / (1 + r**2).sqrt(),
-    }[name]()
-
-
 def decimal_power(name, centers, X, beta):
     """Square root of the Schur complement, by Cholesky with 50 digits."""
 
     def section(x, y):
         squares = [(Decimal(a) - Decimal(b)) ** 2 for a, b in zip(x, y, strict=True)]
-        return profile(name, sum(squares).sqrt() / Decimal(beta), len(x))
+        r = sum(squares).sqrt() / Decimal(beta)
+        return profile(name, r, len(x), Decimal.exp, Decimal.sqrt, Decimal)
 
     with localcontext() as context:
         context.prec = 50
@@ -178,10 +144,7 @@ def test_power_function_of_one_and_two_centres():
 
 
 @pytest.mark.filterwarnings("ignore:.*off the manifold:UserWarning")
-@pytest.mark.parametrize("trend", [None, "linear"])
-@pytest.mark.parametrize("alpha", [0.0, 1e-3])
-@pytest.mark.parametrize("d", [2, 3])
-@pytest.mark.parametrize("kernel", KERNELS)
+@every_pair(kernel=KERNELS, d=[2, 3], alpha=[0.0, 1e-3], trend=[None, "linear"])
 def test_bound_holds_for_functions_of_known_norm(kernel, d, alpha, trend):
     rng = np.random.default_rng(3)
     X, X_new = rng.uniform(-1, 1, (50, d)), rng.uniform(-1.5, 1.5, (9_000, d))
@@ -210,8 +173,8 @@ def test_bound_is_attained_by_the_worst_function(kernel, trend):
     X, x = rng.uniform(-1, 1, (30, 2)), np.array([[0.15, -0.4]])
     beta = 0.3 if kernel == "gaussian" else 0.8
     k = KERNELS[kernel](beta=beta)
-    P, p = polynomials(X, trend), polynomials(x, trend)
-    saddle = np.block([[k(X), P], [P.T, np.zeros((P.shape[1],) * 2)]])
+    P, p = monomials(X, trend), monomials(x, trend)
+    saddle = saddle_point_matrix(k(X), P)
     w = np.linalg.solve(saddle, np.vstack([k(X, x), p.T]))[: len(X)]
     points, weights = np.vstack([x, X]), np.vstack([[[1.0]], -w])
     norm = np.sqrt(weights.T @ k(points) @ weights).item()
@@ -282,16 +245,14 @@ def test_bound_is_norm_times_power_for_each_output(scattered):
 # --- The norm, estimated -------------------------------------------------------------
 
 
-@pytest.mark.parametrize("alpha", [0.0, 0.2])
-@pytest.mark.parametrize("trend", TRENDS)
-@pytest.mark.parametrize("n_samples", [59, 60])
+@every_pair(n_samples=[59, 60], trend=TRENDS, alpha=[0.0, 0.2])
 def test_norm_is_extrapolated_from_half_of_the_centres(
     scattered, trend, alpha, n_samples
 ):
     X, y, X_new = (a[:n_samples] for a in scattered)
     model = KoopmanKernelRegressor("wendland_c2", beta=2, trend=trend, alpha=alpha)
     K = KERNELS["wendland_c2"](beta=2)(X) + alpha * np.eye(len(X))
-    P, half = polynomials(X, trend), farthest_half(X)
+    P, half = monomials(X, trend), farthest_half(X)
     fine = interpolant_norm(K, P, y)
     coarse = interpolant_norm(K[np.ix_(half, half)], P[half], y[half])
     assert (coarse < 0.9999 * fine).all()

@@ -8,6 +8,7 @@ from itertools import combinations, pairwise
 import numpy as np
 import pandas as pd
 import pytest
+from designs import every_pair
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
@@ -76,7 +77,7 @@ FRACTIONS = (0.03, 0.3, 0.7, 1.2, 1.5)  # of the median distance
 @every_data
 @every_dimension
 def test_sequential_is_the_double_loop(kind, dimension):
-    X = make_data(kind, dimension)
+    X = make_data(kind, dimension, 250)
     typical = np.median(distances(X, X.mean(axis=0)))
     sizes = set()
     for separation in typical * np.array(FRACTIONS):
@@ -90,7 +91,7 @@ def test_sequential_is_the_double_loop(kind, dimension):
 @every_dimension
 def test_sequential_is_regular_space_clustering(kind, dimension):
     clustering = pytest.importorskip("deeptime.clustering", reason="the oracle")
-    X = make_data(kind, dimension, 800)
+    X = make_data(kind, dimension, 400)
     for fraction in FRACTIONS:
         separation = fraction * np.median(distances(X, X.mean(axis=0)))
         oracle = clustering.RegularSpace(dmin=separation, max_centers=len(X) + 1)
@@ -103,16 +104,16 @@ def test_sequential_is_regular_space_clustering(kind, dimension):
 @every_data
 @every_dimension
 def test_farthest_is_the_greedy_loop(kind, dimension):
-    X = make_data(kind, dimension)
+    X = make_data(kind, dimension, 250)
     typical = np.median(distances(X, X.mean(axis=0)))
     for separation in typical * np.array(FRACTIONS):
         selector = SeparatedCenterSelector(separation, order="farthest").fit(X)
         assert_array_equal(selector.center_indices_, farthest_loop(X, separation))
 
 
-@every_order
-@pytest.mark.parametrize("dimension", [1, 2, 3, 8])
-@pytest.mark.parametrize("spacing", [1.0, 0.1, 1 / 3])
+@every_pair(
+    order=["sequential", "farthest"], dimension=[1, 2, 3, 8], spacing=[1.0, 0.1, 1 / 3]
+)
 def test_ties_on_a_lattice(order, dimension, spacing):
     # In tenths and thirds equal distances differ in the last digit; the comparison is
     # that of the rounded distances, never of a kd-tree's squares.
@@ -336,13 +337,14 @@ def test_batches_give_the_centres_of_one_fit(
 @pytest.mark.parametrize("kind", HARD)
 @pytest.mark.parametrize("dimension", [1, 3, 10])
 def test_one_row_at_a_time(kind, dimension):
-    X = make_hard(kind, dimension, 100, 3)
-    for separation in (0.2, 0.7):
-        for max_centers in (None, 5):
-            check_stream(X, range(100), separation=separation, max_centers=max_centers)
+    X = make_hard(kind, dimension, 60, 3)
+    for separation, max_centers in ((0.2, None), (0.7, None), (0.2, 5)):
+        check_stream(X, range(60), separation=separation, max_centers=max_centers)
 
 
-@pytest.mark.parametrize("size", [1, 7, 64, 65, 1000])
+@pytest.mark.parametrize(
+    "size", [pytest.param(1, marks=pytest.mark.slow), 7, 64, 65, 1000]
+)
 def test_small_batches_with_many_centres(size):
     # Enough for several trees, which merge many times.
     rng = np.random.default_rng(size)
@@ -358,18 +360,18 @@ def test_small_batches_with_many_centres(size):
 
 def test_ties_between_batches():
     # Whether 0.1 * 3 - 0.1 * 2 is above 0.1 is for rounding to say, the same in all.
-    X = 0.1 * np.random.default_rng(0).integers(-4, 5, (500, 2))
+    X = 0.1 * np.random.default_rng(0).integers(-4, 5, (300, 2))
     for separation in (0.1, 0.2, 0.1 * np.sqrt(2), 0.3, 0.5):
         expected = sequential_loop(X, separation)
         for size in (1, 10, 199):
-            ends = range(0, 500, size)
+            ends = range(0, 300, size)
             parts = stream(SeparatedCenterSelector(separation), X, ends)
             assert_array_equal(parts.center_indices_, expected)
 
 
 def test_columns_in_memory_do_not_change_the_rounding():
     # NumPy adds the squares of columns in another order than those of rows.
-    for seed in range(20):
+    for seed in range(8):
         X = 0.1 * np.random.default_rng(seed).integers(-1, 2, (300, 12))
         for separation in (0.1, 0.2, 0.3, 0.4):
             expected = sequential_loop(X, separation)
@@ -649,7 +651,9 @@ def test_pipeline_separates_scaled_states():
     assert_allclose(pipeline.transform(X), all_distances(scaled, scaled[kept]))
 
 
-@every_order
+@pytest.mark.parametrize(
+    "order", ["sequential", pytest.param("farthest", marks=pytest.mark.slow)]
+)
 def test_memory_is_linear(order):
     X = np.random.default_rng(0).normal(size=(20_000, 3))
     selector = SeparatedCenterSelector(0.2, order=order)

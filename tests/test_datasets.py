@@ -5,6 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
+from designs import every_pair
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import solve_ivp
 
@@ -434,9 +435,11 @@ def seconds(stamps):
     return f"Time\tHipX\tHipY\tHipZ\n{rows}"
 
 
-@pytest.mark.parametrize("rate", [50.0, 59.94, 100.0, 120.0, 150.0, 250.0, 1000.0])
-@pytest.mark.parametrize("n_frames", [1, 2, 3, 700])
-@pytest.mark.parametrize("first", [0, 37])
+@every_pair(
+    rate=[50.0, 59.94, 100.0, 120.0, 150.0, 250.0, 1000.0],
+    n_frames=[1, 2, 3, 700],
+    first=[0, 37],
+)
 def test_seconds_rounded_to_milliseconds(write, rate, n_frames, first):
     frames = first + np.arange(n_frames)
     text = seconds(f"{frame / rate:.3f}" for frame in frames)

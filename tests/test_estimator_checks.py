@@ -1,6 +1,9 @@
 """scikit-learn's own checks, with none expected to fail."""
 
+from itertools import cycle
+
 import pytest
+from designs import covering
 from scipy.spatial.distance import cdist
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
@@ -22,19 +25,6 @@ from sklearn_koopman import (
     SeparatedCenterSelector,
 )
 from sklearn_koopman.kernels import KERNELS, Wendland
-
-SELECTORS = [
-    SeparatedCenterSelector(),
-    SeparatedCenterSelector(0.5),
-    SeparatedCenterSelector(order="farthest"),
-    SeparatedCenterSelector(0.0, order="farthest", max_centers=3),
-]
-CENTERS = [
-    None,
-    SeparatedCenterSelector(0.1),
-    SeparatedCenterSelector(1.0),
-    SeparatedCenterSelector(0.0, order="farthest", max_centers=150),
-]
 
 
 class OnDistances(RegressorMixin, BaseEstimator):
@@ -58,34 +48,78 @@ class OnDistances(RegressorMixin, BaseEstimator):
         return self.model_.predict(cdist(X, self.rows_))
 
 
+SELECTORS = [
+    SeparatedCenterSelector(),
+    SeparatedCenterSelector(0.0, order="farthest", max_centers=3),
+]
+# Every option of every estimator once. The checks are of the interface, which depends
+# on the forms that fitted attributes have, and hardly on numbers.
 REGRESSORS = [
-    *(
-        OnDistances(method, trend)
-        for method in ("interpolation", "least_squares")
-        for trend in (None, "constant")
+    KoopmanKernelRegressor(),
+    KoopmanKernelRegressor(
+        "matern12",
+        beta=0.3,
+        centers=SeparatedCenterSelector(0.1),
+        method="least_squares",
+        trend="constant",
     ),
-    *(
-        KoopmanKernelRegressor(centers=centers, method=method, trend=trend)
-        for centers in CENTERS
-        for method in ("interpolation", "least_squares")
-        for trend in (None, "constant", "linear")
+    KoopmanKernelRegressor(
+        Wendland(5.0, 4),
+        centers=SeparatedCenterSelector(1.0),
+        trend="linear",
+        n_jobs=2,
     ),
-    *(KoopmanKernelRegressor(kernel, beta=0.3) for kernel in KERNELS),
-    KoopmanKernelRegressor(Wendland(5.0, 4), n_jobs=2),
-    KoopmanKernelRegressor(1.0 * RBF() + WhiteKernel(0.1)),
-    KoopmanKernelRegressor(solver="cholesky"),
+    KoopmanKernelRegressor(
+        "inverse_multiquadric",
+        beta=0.3,
+        centers=SeparatedCenterSelector(0.0, order="farthest", max_centers=150),
+        method="least_squares",
+        trend="linear",
+    ),
+    KoopmanKernelRegressor(1.0 * RBF() + WhiteKernel(0.1), trend="constant"),
+    KoopmanKernelRegressor("gaussian", beta=0.3, solver="cholesky"),
+    OnDistances("least_squares", "constant"),
+]
+OPERATORS = [
+    KernelEDMD(),
+    KernelEDMD(
+        centers=SeparatedCenterSelector(0.1),
+        method="least_squares",
+        trend="linear",
+        n_modes=150,
+    ),
+    KernelEDMD("wendland_c4", beta=5.0, trend="constant", n_modes=0, n_jobs=2),
 ]
 
-OPERATORS = [
+# Every pair of centres, method and trend, and with them every kernel.
+CENTERS = [
+    None,
+    SeparatedCenterSelector(0.1),
+    SeparatedCenterSelector(1.0),
+    SeparatedCenterSelector(0.0, order="farthest", max_centers=150),
+]
+METHODS = ["interpolation", "least_squares"]
+TRENDS = [None, "constant", "linear"]
+PAIRS = [
+    SeparatedCenterSelector(0.5),
+    SeparatedCenterSelector(order="farthest"),
+    OnDistances(),
+    *(
+        KoopmanKernelRegressor(
+            kernel, beta=0.3, centers=centers, method=method, trend=trend
+        )
+        for kernel, (centers, method, trend) in zip(
+            cycle(KERNELS),
+            covering(centers=CENTERS, method=METHODS, trend=TRENDS),
+            strict=False,
+        )
+    ),
     *(
         KernelEDMD(centers=centers, method=method, trend=trend)
-        for centers in (None, SeparatedCenterSelector(0.1))
-        for method in ("interpolation", "least_squares")
-        for trend in (None, "constant", "linear")
+        for centers, method, trend in covering(
+            centers=CENTERS[:2], method=METHODS, trend=TRENDS
+        )
     ),
-    KernelEDMD(centers=SeparatedCenterSelector(1.0), method="least_squares"),
-    KernelEDMD("wendland_c4", beta=5.0, n_modes=0, n_jobs=2),
-    KernelEDMD(beta=0.1, n_modes=150),
 ]
 
 
@@ -94,8 +128,14 @@ def test_scikit_learn_check(estimator, check):
     check(estimator)
 
 
+@pytest.mark.slow
+@parametrize_with_checks(PAIRS)
+def test_scikit_learn_check_of_pairs_of_options(estimator, check):
+    check(estimator)
+
+
 @pytest.mark.parametrize(
-    "estimator", [SELECTORS[0], REGRESSORS[4], REGRESSORS[9], OPERATORS[0]]
+    "estimator", [SELECTORS[0], REGRESSORS[1], REGRESSORS[6], OPERATORS[0]]
 )
 def test_column_names(estimator):
     check_dataframe_column_names_consistency("name", estimator)
@@ -114,6 +154,6 @@ def test_column_names(estimator):
         check_global_output_transform_pandas,
     ],
 )
-@pytest.mark.parametrize("estimator", SELECTORS[:3])
+@pytest.mark.parametrize("estimator", SELECTORS)
 def test_transformer_check(estimator, check):
     check("name", estimator)

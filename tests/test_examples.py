@@ -31,6 +31,7 @@ def number(pattern, text):
     return float(re.search(pattern, text)[1])
 
 
+@pytest.mark.slow
 def test_walking_on_the_trial_of_gaitkit(tmp_path):
     pytest.importorskip("gaitkit", reason="gaitkit carries the recorded trial")
     out = run("plot_walking.py", tmp_path)
@@ -40,6 +41,7 @@ def test_walking_on_the_trial_of_gaitkit(tmp_path):
     assert 8 * error < persistence
 
 
+@pytest.mark.slow
 def test_walking_on_a_marker_file(tmp_path):
     """A synthetic leg in a file of the tab-separated format, in metres."""
     import numpy as np
@@ -66,6 +68,7 @@ def test_walking_on_a_marker_file(tmp_path):
     assert 10 * number(r"this model: +([\d.]+) mm", out) < persistence
 
 
+@pytest.mark.slow
 def test_grid_search(tmp_path):
     out = run("plot_grid_search.py", tmp_path)
     assert number(r"two spellings: ([\d.e+-]+)", out) < 1e-10
@@ -73,6 +76,7 @@ def test_grid_search(tmp_path):
     assert "loaded, predicts the same: True" in out
 
 
+@pytest.mark.slow
 def test_spectrum(tmp_path):
     out = run("plot_spectrum.py", tmp_path)
     assert number(r"off by ([\d.]+) %", out) < 0.1
@@ -80,6 +84,7 @@ def test_spectrum(tmp_path):
     assert "13 of 37 eigenvalues have a residual below 0.01" in out
 
 
+@pytest.mark.slow
 def test_forecast(tmp_path):
     out = run("plot_forecast.py", tmp_path)
     persistence, repetition, _, relifted = (

@@ -20,6 +20,7 @@ def table(text, first_cell):
     return lines
 
 
+@pytest.mark.slow
 def test_pendulum_surface(tmp_path):
     out = run("plot_pendulum_surface.py", tmp_path)
     assert "256 samples" in out
@@ -41,6 +42,7 @@ def test_pendulum_surface(tmp_path):
     assert number(r"matrix of the centres: off by up to ([\d.e+-]+)", out) < 1e-12
 
 
+@pytest.mark.slow
 def test_beta(tmp_path):
     out = run("plot_beta.py", tmp_path)
     assert number(r"M = (\d+) centres", out) == 37
@@ -56,6 +58,7 @@ def test_beta(tmp_path):
     assert norm.argmin() == 1
 
 
+@pytest.mark.slow
 def test_convergence(tmp_path):
     out = run("plot_convergence.py", tmp_path)
     lines = table(out, r"(Matern \d/2|Wendland C\d)(?=  )")
@@ -79,6 +82,7 @@ def test_convergence(tmp_path):
     assert 1e-4 < number(r"half the time step: ([\d.e+-]+),", out) < 1e-2
 
 
+@pytest.mark.slow
 def test_conditioning(tmp_path):
     out = run("plot_conditioning.py", tmp_path)
     assert "2 to 64 centres of 256 samples" in out
@@ -103,6 +107,7 @@ def test_conditioning(tmp_path):
         assert np.allclose(slopes, 2 if smoothness else 1, rtol=0, atol=0.2)
 
 
+@pytest.mark.slow
 def test_kinematics_on_the_trial_of_gaitkit(tmp_path):
     pytest.importorskip("gaitkit", reason="gaitkit carries the recorded trial")
     out = run("plot_kinematics.py", tmp_path)
@@ -120,6 +125,7 @@ def test_kinematics_on_the_trial_of_gaitkit(tmp_path):
     assert delayed_trial < trial / 2
 
 
+@pytest.mark.slow
 def test_kinematics_with_as_many_centres_as_the_paper(tmp_path, walking_file):
     out = run(
         *("plot_kinematics.py", tmp_path),
@@ -134,12 +140,14 @@ def test_kinematics_with_as_many_centres_as_the_paper(tmp_path, walking_file):
     assert angles[1] > 0.8 * stays[1]  # next to nothing on another trial
 
 
+@pytest.mark.slow
 def test_kinematics_on_synthetic_walking(tmp_path):
     out = run("plot_kinematics.py", tmp_path, "--synthetic")
     assert "SYNTHETIC walking, nothing measured" in out
     assert number(r"at the centres +([\d.e+-]+)", out) < 1e-3
 
 
+@pytest.mark.slow
 def test_kinematics_on_a_single_trial(tmp_path):
     """One trial has a last third to leave out, but no other trial to learn from."""
     walking = make_walking(speeds=[1.2], n_strides=3, rate=100.0, random_state=0)

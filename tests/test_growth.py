@@ -9,10 +9,18 @@ import joblib
 import numpy as np
 import pandas as pd
 import pytest
+from designs import every_pair
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from joblib.parallel import BACKENDS, ThreadingBackend
 from numpy.testing import assert_allclose, assert_array_equal
+from reference import (
+    dense_interpolant,
+    dense_least_squares,
+    kernel_matrix,
+    monomials,
+    squared_power,
+)
 from scipy.linalg import LinAlgWarning, null_space, solve_triangular
 from sklearn.base import clone
 from sklearn.cluster import KMeans
@@ -149,37 +157,7 @@ def assert_hidden(model, X, y, message):
     assert message in str(error.value.__cause__)
 
 
-def monomials(X, trend, origin):
-    columns = {None: 0, "constant": 1, "linear": 1 + X.shape[1]}[trend]
-    return np.column_stack([np.ones(len(X)), X - origin])[:, :columns]
-
-
-def dense_interpolant(K, P, y, nugget):
-    """Solve the saddle point problem as it is printed in books."""
-    n, q = P.shape
-    matrix = np.block([[K + np.diag(nugget), P], [P.T, np.zeros((q, q))]])
-    solved = np.linalg.solve(matrix, np.vstack([y, np.zeros((q, y.shape[1]))]))
-    return solved[:n], solved[n:]
-
-
-def dense_regression(K, PC, A, P, alpha):
-    """Return the map from outputs to coefficients, sections' first.
-
-    It minimises |y - A c - P b|^2 + alpha c^T K c subject to PC^T c = 0.
-    """
-    Z = null_space(PC.T) if PC.shape[1] else np.eye(len(K))
-    root = np.linalg.cholesky(Z.T @ K @ Z).T
-    design = np.hstack([A @ Z, P])
-    penalty = np.hstack([np.sqrt(alpha) * root, np.zeros((len(root), P.shape[1]))])
-    inverse = np.linalg.pinv(np.vstack([design, penalty]), rcond=1e-14)[:, : len(A)]
-    return np.vstack([Z @ inverse[: Z.shape[1]], inverse[Z.shape[1] :]])
-
-
-@pytest.mark.parametrize("name", SETTINGS)
-@pytest.mark.parametrize(
-    ("trend", "n_outputs"),
-    [(None, None), ("constant", None), ("linear", 1), ("linear", 2)],
-)
+@every_pair(name=SETTINGS, trend=TRENDS, n_outputs=[None, 1, 2])
 def test_batches_equal_one_fit(name, trend, n_outputs):
     parameters, noise = SETTINGS[name]
     X, y = samples(noise=noise, n_outputs=n_outputs)
@@ -191,7 +169,7 @@ def test_batches_equal_one_fit(name, trend, n_outputs):
     assert_same(grown(model, X, y, cuts), expected, np.vstack([X, X + 0.03]))
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(data=st.data())
 @pytest.mark.parametrize("name", SETTINGS)
 def test_any_division_equals_one_fit(name, data):
@@ -212,9 +190,9 @@ def test_grown_interpolant_solves_the_printed_system(trend, alpha):
     X, y = samples(60, repeats=False)
     model = KoopmanKernelRegressor(beta=0.5, alpha=alpha, trend=trend)
     grown(model, X, y, [1, 2, 10, 35])
-    K = MaternSobolev(0.5, 1.5)(X)
+    K = kernel_matrix("matern32", X, X, 0.5) + alpha * np.eye(60)
     P = monomials(X, trend, X.mean(axis=0))
-    c, b = dense_interpolant(K, P, y, np.full(60, alpha))
+    c, b = dense_interpolant(K, P, y)
     assert_allclose(model.dual_coef_, c, rtol=1e-8, atol=1e-8)
     if trend is not None:
         assert_allclose(model.trend_coef_, b, rtol=1e-8, atol=1e-9)
@@ -223,18 +201,12 @@ def test_grown_interpolant_solves_the_printed_system(trend, alpha):
     assert_allclose(model.noise_std_, amplitude * np.sqrt(alpha), rtol=1e-9)
     # The power function, by the same system for every row.
     T = X[:20] + 0.02
-    k, p = MaternSobolev(0.5, 1.5)(X, T), monomials(T, trend, X.mean(axis=0)).T
-    matrix = np.block(
-        [[K + alpha * np.eye(60), P], [P.T, np.zeros((P.shape[1], P.shape[1]))]]
-    )
-    right = np.vstack([k, p])
-    squared = 1 - np.einsum("ij,ij->j", right, np.linalg.solve(matrix, right))
+    k, p = kernel_matrix("matern32", X, T, 0.5), monomials(T, trend, X.mean(axis=0))
+    squared = squared_power(K, P, k, p)
     assert_allclose(model.power_function(T) ** 2, squared, atol=1e-10)
 
 
-@pytest.mark.parametrize("trend", TRENDS)
-@pytest.mark.parametrize("alpha", [0.0, 0.3])
-@pytest.mark.parametrize("n_centers", [12, 150])
+@every_pair(n_centers=[12, 150], trend=TRENDS, alpha=[0.0, 0.3])
 def test_accumulated_regression_is_the_dense_one(trend, alpha, n_centers):
     X, y = samples(n_centers + 150)
     centers = np.random.default_rng(1).uniform(size=(n_centers, 2))
@@ -242,12 +214,11 @@ def test_accumulated_regression_is_the_dense_one(trend, alpha, n_centers):
         beta=0.3, alpha=alpha, trend=trend, centers=centers, method="least_squares"
     )
     grown(model, X, y, [n_centers + 80, n_centers + 81])
-    kernel = MaternSobolev(0.3, 1.5)
+    K = kernel_matrix("matern32", centers, centers, 0.3)
+    A = kernel_matrix("matern32", X, centers, 0.3)
     origin = centers.mean(axis=0)
-    A, P = kernel(X, centers), monomials(X, trend, origin)
-    solve = dense_regression(
-        kernel(centers), monomials(centers, trend, origin), A, P, alpha
-    )
+    P = monomials(X, trend, origin)
+    solve = dense_least_squares(K, monomials(centers, trend, origin), A, P, alpha)
     coefficients = solve @ y
     hat = np.hstack([A, P]) @ solve
     assert_allclose(model.predict(X), hat @ y, atol=1e-8)
@@ -258,7 +229,7 @@ def test_accumulated_regression_is_the_dense_one(trend, alpha, n_centers):
     squares = ((y - hat @ y) ** 2).sum(axis=0)
     noise = np.sqrt(squares / (len(X) - np.trace(hat)))
     assert_allclose(model.noise_std_, noise, rtol=1e-7)
-    norm = np.sqrt(np.einsum("ij,ij->j", c, kernel(centers) @ c))
+    norm = np.sqrt(np.einsum("ij,ij->j", c, K @ c))
     degrees = n_centers - P.shape[1]
     assert_allclose(model.signal_std_, norm / np.sqrt(degrees), rtol=1e-6)
 
@@ -307,7 +278,7 @@ def test_equal_rows_that_contradict_each_other():
     assert_array_equal(model.center_indices_, np.arange(41))
 
 
-@pytest.mark.parametrize("trend", TRENDS)
+@pytest.mark.parametrize("trend", [None, "linear"])
 def test_hundreds_of_batches(trend):
     X, y = samples(260, repeats=False)
     cuts = np.arange(100, 260)
@@ -1033,7 +1004,7 @@ def test_residuals_below_rounding_are_zero():
     ],
 )
 def test_regression_of_arrays_on_disk(tmp_path, trend):
-    n, d = 100_000, 32
+    n, d = 40_000, 32
     rng = np.random.default_rng(0)
     X = np.memmap(tmp_path / "X", dtype=np.float64, mode="w+", shape=(n, d))
     y = np.memmap(tmp_path / "y", dtype=np.float64, mode="w+", shape=(n, 2))
@@ -1056,8 +1027,8 @@ def test_regression_of_arrays_on_disk(tmp_path, trend):
     assert_allclose(model.dual_coef_, expected.dual_coef_, rtol=1e-12)
     assert_allclose(model.noise_std_, expected.noise_std_, rtol=1e-12)
     streamed = clone(model)
-    for start in range(0, n, 25_000):
-        streamed.partial_fit(X[start : start + 25_000], y[start : start + 25_000])
+    for start in range(0, n, 10_000):
+        streamed.partial_fit(X[start : start + 10_000], y[start : start + 10_000])
     T = np.array(X[:100])
     assert_allclose(streamed.predict(T), expected.predict(T), atol=1e-9)
     assert_allclose(streamed.noise_std_, expected.noise_std_, rtol=1e-6)
@@ -1119,6 +1090,7 @@ def assert_shared(model, X, y):
     assert_allclose(model.signal_std_, serial.signal_std_, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_workers_share_the_rows(monkeypatch, tmp_path):
     monkeypatch.setattr(_least_squares, "PARALLEL_WORK", 0)
     model, X, y = regression(n_jobs=2)

@@ -293,7 +293,10 @@ def test_value_is_a_function_of_the_distance_over_beta(make):
     rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     expected = make()(X, Y)
     assert np.ptp(expected) > 0.1
-    assert_allclose(make()(X @ rotation + 5, Y @ rotation + 5), expected, rtol=1e-12)
+    # Coordinates below ten make errors of 1e-15 in the distances, and no kernel is
+    # steeper than three.
+    moved = make()(X @ rotation + 5, Y @ rotation + 5)
+    assert_allclose(moved, expected, rtol=0, atol=1e-13)
     # Powers of two scale without rounding, also where the squares leave the doubles.
     for scale in (2.0, 2.0**-600, 2.0**600):
         assert_array_equal(make(beta=scale)(X * scale, Y * scale), expected)
@@ -490,11 +493,11 @@ def test_gaussian_process_recovers_the_scale(truth):
 
 
 @every_kernel
-@pytest.mark.parametrize("beta", [0, -1.5, np.nan, np.inf, "1", None])
-def test_bad_beta(make, beta):
-    message = rf"^beta must be .*positive.*got {beta!r}\."
-    with pytest.raises(ValueError, match=message):
-        make(beta=beta)(np.eye(2))
+def test_bad_beta(make):
+    for beta in (0, -1.5, np.nan, np.inf, "1", None):
+        message = rf"^beta must be .*positive.*got {beta!r}\."
+        with pytest.raises(ValueError, match=message):
+            make(beta=beta)(np.eye(2))
 
 
 @pytest.mark.parametrize(

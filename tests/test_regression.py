@@ -8,7 +8,15 @@ import tracemalloc
 import joblib
 import numpy as np
 import pytest
+from designs import every_pair
 from numpy.testing import assert_allclose, assert_array_equal
+from reference import (
+    dense_interpolant,
+    dense_least_squares,
+    kernel_matrix,
+    monomials,
+    squared_power,
+)
 from scipy.interpolate import RBFInterpolator
 from scipy.linalg import LinAlgWarning, null_space, solve_triangular
 from scipy.spatial.distance import cdist
@@ -48,12 +56,7 @@ def scattered():
 
 
 def matern(X, Y, beta):
-    z = np.sqrt(3) * cdist(X, Y) / beta
-    return (1 + z) * np.exp(-z)
-
-
-def monomials(X):
-    return np.column_stack([np.ones(len(X)), X])
+    return kernel_matrix("matern32", X, Y, beta)
 
 
 # --- The paper's pendulum ------------------------------------------------------------
@@ -71,8 +74,13 @@ def test_pendulum_interpolates_at_the_centres(pendulum, kernel):
     model = KoopmanKernelRegressor(
         kernel, beta=1.0, centers=SeparatedCenterSelector(0.23)
     ).fit(pendulum.X, pendulum.y)
-    reached = model.predict(model.centers_)
-    assert_allclose(reached, pendulum.y[model.center_indices_], atol=1e-10, rtol=0)
+    # Higham, Accuracy and Stability (2002), theorem 10.4 with a diagonal of ones, and
+    # the rounding errors of the prediction.
+    M = len(model.centers_)
+    rounding = 2 * (M + 1) * np.finfo(float).eps * np.abs(model.dual_coef_).sum()
+    assert rounding < 1e-7
+    u = pendulum.y[model.center_indices_]
+    assert_allclose(model.predict(model.centers_), u, atol=rounding, rtol=0)
 
 
 def test_pendulum_agrees_with_a_dense_solve(pendulum):
@@ -138,11 +146,10 @@ def test_trend_equals_scipys_interpolator(scattered, trend, degree, alpha):
 def test_trend_coefficients_are_those_of_the_saddle_system(scattered):
     X, y, _ = scattered
     model = KoopmanKernelRegressor(beta=1.5, trend="linear").fit(X, y)
-    P = monomials(X - X.mean(axis=0))
-    saddle = np.block([[matern(X, X, 1.5), P], [P.T, np.zeros((3, 3))]])
-    solution = np.linalg.solve(saddle, np.vstack([y, np.zeros((3, 2))]))
-    assert_allclose(model.dual_coef_, solution[:-3], atol=1e-9)
-    assert_allclose(model.trend_coef_, solution[-3:], atol=1e-9)
+    P = monomials(X, origin=X.mean(axis=0))
+    c, b = dense_interpolant(matern(X, X, 1.5), P, y)
+    assert_allclose(model.dual_coef_, c, atol=1e-9)
+    assert_allclose(model.trend_coef_, b, atol=1e-9)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -202,10 +209,11 @@ def test_least_squares_equals_stacked_lstsq(scattered, alpha, centers):
         beta=1.5, centers=choice, method="least_squares", alpha=alpha
     ).fit(X, y)
     Xi = model.centers_
-    L = np.linalg.cholesky(matern(Xi, Xi, 1.5))
-    A = np.vstack([matern(X, Xi, 1.5), np.sqrt(alpha) * L.T])
-    c = np.linalg.lstsq(A, np.vstack([y, np.zeros((len(Xi), 2))]), rcond=None)[0]
-    expected = matern(X_new, Xi, 1.5) @ c
+    A, nothing = matern(X, Xi, 1.5), monomials(Xi, None)
+    solve = dense_least_squares(
+        matern(Xi, Xi, 1.5), nothing, A, monomials(X, None), alpha
+    )
+    expected = matern(X_new, Xi, 1.5) @ solve @ y
     assert_allclose(model.predict(X_new), expected, rtol=1e-8, atol=1e-9)
 
 
@@ -220,23 +228,14 @@ def test_least_squares_with_trend_equals_constrained_lstsq(scattered, trend, alp
         alpha=alpha,
         trend=trend,
     ).fit(X, y)
-    Xi, n_terms = model.centers_, {"constant": 1, "linear": 3}[trend]
-
-    def P(Z):
-        return monomials(Z)[:, :n_terms]
-
-    N = null_space(P(Xi).T)
-    L = np.linalg.cholesky(matern(Xi, Xi, 1.5))
-    A = np.block(
-        [
-            [matern(X, Xi, 1.5) @ N, P(X)],
-            [np.sqrt(alpha) * L.T @ N, np.zeros((len(Xi), n_terms))],
-        ]
+    Xi = model.centers_
+    P = monomials(Xi, trend)
+    solve = dense_least_squares(
+        matern(Xi, Xi, 1.5), P, matern(X, Xi, 1.5), monomials(X, trend), alpha
     )
-    z = np.linalg.lstsq(A, np.vstack([y, np.zeros((len(Xi), 2))]), rcond=None)[0]
-    expected = matern(X_new, Xi, 1.5) @ N @ z[:-n_terms] + P(X_new) @ z[-n_terms:]
-    assert_allclose(model.predict(X_new), expected, rtol=1e-8, atol=1e-9)
-    assert_allclose(P(Xi).T @ model.dual_coef_, 0, atol=1e-9)
+    functions = np.hstack([matern(X_new, Xi, 1.5), monomials(X_new, trend)])
+    assert_allclose(model.predict(X_new), functions @ solve @ y, rtol=1e-8, atol=1e-9)
+    assert_allclose(P.T @ model.dual_coef_, 0, atol=1e-9)
 
 
 @pytest.mark.parametrize("trend", [None, "constant", "linear"])
@@ -390,7 +389,7 @@ def test_power_function_is_the_schur_complement(scattered, alpha):
     X, y, X_new = scattered
     model = KoopmanKernelRegressor(beta=1.5, alpha=alpha).fit(X, y)
     k, K = matern(X, X_new, 1.5), matern(X, X, 1.5) + alpha * np.eye(len(X))
-    schur = 1 - np.sum(k * np.linalg.solve(K, k), axis=0)
+    schur = squared_power(K, monomials(X, None), k, monomials(X_new, None))
     assert_allclose(model.power_function(X_new), np.sqrt(schur), atol=1e-8)
     assert model.power_function(X_new).max() <= 1
     if alpha == 0:
@@ -401,11 +400,8 @@ def test_power_function_is_the_schur_complement(scattered, alpha):
 def test_power_function_with_trend_is_that_of_universal_kriging(scattered, trend):
     X, y, X_new = scattered
     model = KoopmanKernelRegressor(beta=1.5, trend=trend).fit(X, y)
-    n_terms = {"constant": 1, "linear": 3}[trend]
-    P = monomials(X)[:, :n_terms]
-    saddle = np.block([[matern(X, X, 1.5), P], [P.T, np.zeros((n_terms, n_terms))]])
-    k = np.vstack([matern(X, X_new, 1.5), monomials(X_new)[:, :n_terms].T])
-    variance = 1 - np.sum(k * np.linalg.solve(saddle, k), axis=0)
+    P, p = monomials(X, trend), monomials(X_new, trend)
+    variance = squared_power(matern(X, X, 1.5), P, matern(X, X_new, 1.5), p)
     assert_allclose(model.power_function(X_new), np.sqrt(variance), atol=1e-8)
 
 
@@ -509,10 +505,12 @@ def test_noise_of_least_squares_is_that_of_the_residuals():
 # --- Centres in all their forms ------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("trend", [None, "constant"])
-@pytest.mark.parametrize("kernel", [*KERNELS, Matern(1.5, nu=2.5), 2.0 * RBF(0.7)])
-@pytest.mark.parametrize("n_features", [1, 3, 6])
+@every_pair(
+    kernel=[*KERNELS, Matern(1.5, nu=2.5), 2.0 * RBF(0.7)],
+    n_features=[1, 3, 6],
+    method=METHODS,
+    trend=[None, "constant"],
+)
 def test_distances_serve_as_well_as_states(
     scattered, method, trend, kernel, n_features
 ):
@@ -692,11 +690,18 @@ def test_regularised_least_squares_leaves_centres_out_in_silence():
 # --- Memory, threads, pickles --------------------------------------------------------
 
 
-@pytest.mark.parametrize("trend", [None, "linear"])
-@pytest.mark.parametrize("method", METHODS)
-def test_fit_holds_little_more_than_one_matrix(method, trend):
+@pytest.mark.parametrize(
+    ("method", "trend", "M"),
+    [
+        ("interpolation", "linear", 1000),
+        ("least_squares", None, 1000),
+        pytest.param("interpolation", None, 2000, marks=pytest.mark.slow),
+        pytest.param("least_squares", "linear", 2000, marks=pytest.mark.slow),
+    ],
+)
+def test_fit_holds_little_more_than_one_matrix(method, trend, M):
+    """And blocks of rows, of 8 MB at most, for least squares."""
     rng = np.random.default_rng(0)
-    M = 2000
     X, y = rng.uniform(size=(2 * M, 3)), rng.standard_normal((2 * M, 2))
     centers = X[:M].copy()
     model = KoopmanKernelRegressor(
@@ -708,13 +713,14 @@ def test_fit_holds_little_more_than_one_matrix(method, trend):
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert peak < 1.3 * 8 * M**2
+    blocks = 8e6 if method == "least_squares" else 0.2 * 8 * M**2
+    assert peak < 1.05 * 8 * M**2 + blocks
 
 
 def test_prediction_never_holds_the_kernel_matrix():
     rng = np.random.default_rng(0)
     X, y = rng.uniform(size=(1000, 3)), rng.standard_normal(1000)
-    X_new = rng.uniform(size=(20_000, 3))
+    X_new = rng.uniform(size=(10_000, 3))
     model = KoopmanKernelRegressor("matern12").fit(X, y)
     tracemalloc.start()
     try:
@@ -725,8 +731,8 @@ def test_prediction_never_holds_the_kernel_matrix():
         _, peak_power = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert peak < 0.05 * 8 * 20_000 * 1000
-    assert peak_power < 0.05 * 8 * 20_000 * 1000
+    assert peak < 0.1 * 8 * 10_000 * 1000
+    assert peak_power < 0.1 * 8 * 10_000 * 1000
 
 
 def test_threads_and_blocks_change_nothing(scattered):
@@ -734,14 +740,16 @@ def test_threads_and_blocks_change_nothing(scattered):
     X_new = np.random.default_rng(5).uniform(-2, 2, (3000, 2))
     one = KoopmanKernelRegressor(trend="linear").fit(X, y)
     two = KoopmanKernelRegressor(trend="linear", n_jobs=2).fit(X, y)
-    for ours, theirs in zip(
-        one.predict(X_new, return_std=True),
-        two.predict(X_new, return_std=True),
-        strict=True,
-    ):
-        assert_array_equal(ours, theirs)
+    # BLAS may sum the products with 120 coefficients in another order.
+    rounding = 2 * 120 * np.finfo(float).eps * np.abs(one.dual_coef_).sum(axis=0)
+    assert rounding.max() < 1e-9
+    y, std = one.predict(X_new, return_std=True)
+    y_two, std_two = two.predict(X_new, return_std=True)
+    assert (np.abs(y_two - y) <= rounding).all()
+    # The squared power function is one less a sum of squares that is one at most.
+    assert_allclose(std_two**2, std**2, rtol=0, atol=1e-12 * one.signal_std_.max() ** 2)
     rows = np.vstack([one.predict(x[np.newaxis]) for x in X_new[:50]])
-    assert_allclose(one.predict(X_new)[:50], rows, rtol=1e-12, atol=1e-12)
+    assert (np.abs(y[:50] - rows) <= rounding).all()
 
 
 def test_pickle_is_small_and_the_factor_comes_back(scattered):
@@ -768,6 +776,7 @@ def test_pickle_of_distances_says_what_it_cannot_do(scattered):
         loaded.power_function(distances)
 
 
+@pytest.mark.slow
 def test_another_process_predicts_the_same_bits(tmp_path, pendulum):
     model = KoopmanKernelRegressor(
         "wendland_c4", beta=3.0, centers=SeparatedCenterSelector(0.05)

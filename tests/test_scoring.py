@@ -228,7 +228,7 @@ def test_states_in_a_pipeline_are_compared_as_it_transforms_them(swings):
     assert -0.1 < score < 0
 
 
-@pytest.mark.parametrize("n_jobs", [None, 2])
+@pytest.mark.parametrize("n_jobs", [None, pytest.param(2, marks=pytest.mark.slow)])
 def test_search_without_and_with_metadata_routing(swings, n_jobs):
     trajectories, _ = swings
     pairs = trajectory_pairs(trajectories)

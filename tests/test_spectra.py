@@ -12,9 +12,11 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
+from designs import every_pair
 from numpy.polynomial.hermite_e import hermegauss, hermeval
 from numpy.testing import assert_allclose
-from scipy.spatial.distance import cdist
+from reference import dense_interpolant, kernel_matrix, monomials
+from scipy import linalg
 from sklearn.gaussian_process.kernels import DotProduct
 
 from sklearn_koopman import KernelEDMD, SeparatedCenterSelector
@@ -95,16 +97,34 @@ def centers_of(X, form):
     return None if form == "all" else X[np.arange(120) % 4 != 3][:60]
 
 
-@pytest.mark.parametrize("form", KERNELS)
-@pytest.mark.parametrize("kind", ["scattered", "trajectories"])
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("name", LINEAR)
-def test_affine_map_is_found_exactly(name, method, kind, form):
-    """The polynomials are invariant, so that only rounding is left, also far ahead.
+def rounding_of_matrix(model):
+    """Return the size of rounding errors in the whitened matrix of M rows.
 
-    The largest of these errors is 520 times eps / sqrt(rcond_), where one eigenvalue is
-    1.05 and rounding grows 18 times in 60 steps. None is above 1e-11.
+    Its entries have errors of eps / sqrt(rcond_), as its largest eigenvalues are of
+    size one. The factor of 10 M stands for the sums in products and the QR algorithm.
     """
+    error = np.finfo(float).eps / np.sqrt(model.rcond_)
+    return 10 * len(model.koopman_matrix_) * error
+
+
+def rounding_of_eigenvalues(model, wanted):
+    """Return what rounding may move the eigenvalues near the wanted ones by.
+
+    Errors of the matrix move a simple eigenvalue by their size times its condition
+    number, the reciprocal cosine between its left and its right eigenvector. Errors of
+    eigenfunctions and forecasts are proportional to this, too.
+    """
+    values, left, right = linalg.eig(model.koopman_matrix_, left=True)
+    places = np.abs(values - np.asarray(wanted)[:, np.newaxis]).argmin(axis=1)
+    condition = 1 / np.abs((left.conj() * right).sum(axis=0))[places]
+    return condition.max() * rounding_of_matrix(model)
+
+
+@every_pair(
+    name=LINEAR, method=METHODS, kind=["scattered", "trajectories"], form=KERNELS
+)
+def test_affine_map_is_found_exactly(name, method, kind, form):
+    """The polynomials are invariant, so that only rounding is left, also far ahead."""
     F = LINEAR[name]
     d = len(F)
     fixed_point = np.linspace(0.3, -0.2, d)
@@ -121,8 +141,10 @@ def test_affine_map_is_found_exactly(name, method, kind, form):
             method=method,
             trend="linear",
         ).fit(X, **successors)
-        places, distances = nearest(model, np.r_[1, np.linalg.eigvals(F)])
-        tolerance = min(1e3 * np.finfo(float).eps / np.sqrt(model.rcond_), 3e-11)
+        exact_values = np.r_[1, np.linalg.eigvals(F)]
+        places, distances = nearest(model, exact_values)
+        # At the worst rcond_ among these, 4e-10, eps / sqrt(rcond_) is 1e-11.
+        tolerance = min(rounding_of_eigenvalues(model, exact_values), 1e-10)
         assert distances.max() < tolerance
         assert model.residuals_[places].max() < tolerance
         forecast = model.forecast(start + fixed_point, n_steps=60) - fixed_point
@@ -147,13 +169,19 @@ def test_defective_map_splits_its_eigenvalue_by_the_root_of_rounding(method, kin
     # Both copies: those of smallest residual among the eigenvalues near 0.8.
     near = np.flatnonzero(np.abs(model.eigenvalues_ - 0.8) < 1e-6)
     assert len(near) == 2
-    assert_allclose(model.eigenvalues_[near].mean(), 0.8, rtol=0, atol=1e-13)
-    assert model.residuals_[near].max() < 1e-13
+    # The mean of both moves by the error of the matrix times the norm of the spectral
+    # projector, which is a few here.
+    tolerance = 10 * rounding_of_matrix(model)
+    assert tolerance < 1e-10
+    assert_allclose(model.eigenvalues_[near].mean(), 0.8, rtol=0, atol=tolerance)
+    assert model.residuals_[near].max() < tolerance
     start = np.random.default_rng(1).uniform(-2, 2, (5, 2))
     exact = np.stack(
         [start @ np.linalg.matrix_power(F.T, s) for s in range(1, 61)], axis=1
     )
-    assert_allclose(model.forecast(start, n_steps=60), exact, rtol=0, atol=1e-12)
+    # The error of each step grows by |F^s| afterwards, which is below 2.5.
+    steps = model.forecast(start, n_steps=60)
+    assert_allclose(steps, exact, rtol=0, atol=60 * 2.5 * tolerance)
 
 
 ROTATING = np.array([[0.9, -0.3], [0.2, 0.7]])
@@ -177,14 +205,19 @@ def test_polynomial_kernel_has_exactly_the_products_of_eigenvalues(method):
         for chosen in combinations_with_replacement(range(2), degree)
     ]
     assert len(model.eigenvalues_) == len(factors) == 10
-    places, distances = nearest(model, [lam[chosen].prod() for chosen in factors])
+    products = [lam[chosen].prod() for chosen in factors]
+    places, distances = nearest(model, products)
     assert sorted(places) == list(range(10))
-    assert distances.max() < 1e-12
-    assert model.residuals_.max() < 2e-12
+    tolerance = rounding_of_eigenvalues(model, products)
+    assert tolerance < 1e-9
+    assert distances.max() < tolerance
+    assert model.residuals_.max() < tolerance
     phi = model.eigenfunctions(X_new)[:, places]
     exact = np.column_stack([linear_now[:, chosen].prod(axis=1) for chosen in factors])
     exact *= (exact.conj() * phi).sum(axis=0) / np.square(np.abs(exact)).sum(axis=0)
-    assert_allclose(phi, exact, rtol=0, atol=1e-11)
+    # Eigenfunctions turn by the error over the gap to the next eigenvalue.
+    gap = np.min(np.abs(np.subtract.outer(products, products) + 9 * np.eye(10)))
+    assert_allclose(phi, exact, rtol=0, atol=10 * tolerance / gap)
     assert_in_order(model)
 
 
@@ -272,8 +305,11 @@ def test_rotation_has_powers_of_one_phase(
     assert (distances < accuracy).all()
     if trend == "linear":
         assert distances[:2].max() < 1e-13
-    # The order is that of the wave numbers: the constant, then pairs.
-    assert ((places + 1) // 2 == k).all()
+    # The order is that of the wave numbers: the constant, then pairs. With a linear
+    # trend k = 0 and k = 1 are both exact, and rounding orders their residuals.
+    exact = 2 if trend == "linear" else 0
+    assert ((places + 1) // 2 == k)[exact:].all()
+    assert places[:exact].max(initial=0) <= 2
     resolved, unresolved = model.residuals_[places], model.residuals_[-2:]
     assert (resolved < 300 * np.array(accuracy)).all()
     assert resolved[:4].max() < 1e-3 * unresolved.min()
@@ -522,6 +558,11 @@ def test_eigenfunction_of_the_pendulum_is_its_phase(
 # --- Spurious eigenvalues ------------------------------------------------------------
 
 
+every_noisy_kernel = pytest.mark.parametrize(
+    "kernel", ["wendland_c4", pytest.param("matern32", marks=pytest.mark.slow)]
+)
+
+
 @cache
 def noisy_rotation(n, separation, kernel):
     """A model of a rotation measured with noise, and its residuals on new pairs.
@@ -546,7 +587,7 @@ def noisy_rotation(n, separation, kernel):
     return model, spurious, root_mean_square(defect) / root_mean_square(phi)
 
 
-@pytest.mark.parametrize("kernel", ["wendland_c4", "matern32"])
+@every_noisy_kernel
 @pytest.mark.parametrize(("n", "separation"), [(2000, 0.2), (300, None)])
 def test_noise_makes_spurious_eigenvalues_that_are_not_trusted(kernel, n, separation):
     model, spurious, _ = noisy_rotation(n, separation, kernel)
@@ -558,7 +599,7 @@ def test_noise_makes_spurious_eigenvalues_that_are_not_trusted(kernel, n, separa
     assert distrust[spurious].min() > 0.9
 
 
-@pytest.mark.parametrize("kernel", ["wendland_c4", "matern32"])
+@every_noisy_kernel
 @pytest.mark.parametrize(
     ("n", "separation"), [(2000, 0.2), (300, None)], ids=["selector", "all"]
 )
@@ -613,28 +654,14 @@ def test_residuals_of_interpolation_are_measured_off_the_centres(twisted, trend,
 
 def dense_estimate(X, values, X_new, trend, alpha):
     """Interpolate, or smooth, by the bordered system with Matern-3/2 of scale 1.5."""
-
-    def matern(A, B):
-        z = np.sqrt(3) * cdist(A, B) / 1.5
-        return (1 + z) * np.exp(-z)
-
-    def polynomials(A):
-        columns = np.column_stack([np.ones(len(A)), A])
-        return columns[:, : {None: 0, "constant": 1, "linear": 3}[trend]]
-
-    P = polynomials(X)
-    q = P.shape[1]
-    system = np.block(
-        [[matern(X, X) + alpha * np.eye(len(X)), P], [P.T, np.zeros((q, q))]]
-    )
-    right = np.vstack([values, np.zeros((q, values.shape[1]))])
-    coefficients = np.linalg.solve(system.astype(complex), right)
-    return np.hstack([matern(X_new, X), polynomials(X_new)]) @ coefficients
+    K = kernel_matrix("matern32", X, X, 1.5) + alpha * np.eye(len(X))
+    c, b = dense_interpolant(K, monomials(X, trend), values)
+    return kernel_matrix("matern32", X_new, X, 1.5) @ c + monomials(X_new, trend) @ b
 
 
-@pytest.mark.parametrize("few_others", [False, True])
-@pytest.mark.parametrize("alpha", [0.0, 1e-2])
-@pytest.mark.parametrize("trend", [None, "constant", "linear"])
+@every_pair(
+    trend=[None, "constant", "linear"], alpha=[0.0, 1e-2], few_others=[False, True]
+)
 def test_residuals_without_other_rows_leave_out_one_centre_at_a_time(
     twisted, trend, alpha, few_others
 ):

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from designs import every_pair
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn import config_context
 from sklearn.base import clone
@@ -41,19 +42,17 @@ def pairs_by_loops(states, outputs, lag, delays, delay_step, outputs_in_state):
     return np.array(X), np.array(y), np.array(X_next), times
 
 
-settings = pytest.mark.parametrize(
-    ("lag", "delays", "delay_step"),
-    [(1, 1, 1), (1, 3, 1), (1, 2, 4), (2, 1, 1), (3, 2, 2), (5, 3, 1), (4, 1, 7)],
-)
+# Of lag, delays and delay_step.
+SETTINGS = [(1, 1, 1), (1, 3, 1), (1, 2, 4), (2, 1, 1), (3, 2, 2), (5, 3, 1), (4, 1, 7)]
+settings = pytest.mark.parametrize(("lag", "delays", "delay_step"), SETTINGS)
 
 
 # --- pairs --------------------------------------------------------------------------
 
 
-@settings
-@pytest.mark.parametrize("outputs_in_state", [False, True])
-@pytest.mark.parametrize("seed", range(3))
-def test_pairs_are_those_of_the_loops(lag, delays, delay_step, outputs_in_state, seed):
+@every_pair(setting=SETTINGS, outputs_in_state=[False, True], seed=range(3))
+def test_pairs_are_those_of_the_loops(setting, outputs_in_state, seed):
+    lag, delays, delay_step = setting
     # From the shortest that gives one pair, on.
     least = lag + (delays - 1) * delay_step + 1
     lengths = least + np.random.default_rng(seed).integers(0, 12, 4)
@@ -295,9 +294,7 @@ def test_gap_is_not_used_with_groups():
 # --- blocks of one trajectory -------------------------------------------------------
 
 
-@pytest.mark.parametrize("n_samples", [13, 15, 40])
-@pytest.mark.parametrize("n_splits", [2, 3, 5])
-@pytest.mark.parametrize("gap", [0, 1, 4])
+@every_pair(n_samples=[13, 15, 40], n_splits=[2, 3, 5], gap=[0, 1, 4])
 def test_blocks_with_gaps_on_both_sides(n_samples, n_splits, gap):
     folds = list(TrajectoryKFold(n_splits, gap=gap).split(np.zeros((n_samples, 1))))
     assert len(folds) == n_splits
