@@ -1,7 +1,5 @@
 """Kernel matrices, and sums that are made of them tile by tile."""
 
-import pickle
-
 import numpy as np
 import pytest
 from designs import every_pair
@@ -9,21 +7,19 @@ from reference import kernel_matrix
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 
 from sklearn_koopman import KoopmanKernelRegressor
-from sklearn_koopman._matrices import _sections as sections_module
 from sklearn_koopman._matrices._sections import (
-    DistanceSections,
+    KernelExpansion,
     KernelSections,
+    PrecomputedSections,
     gram_matrix,
     gram_product,
-    is_sparse,
     matrix,
     product,
     sparse_matrix,
+    sparse_tree,
 )
+from sklearn_koopman._matrices._sparse import kd_tree
 from sklearn_koopman.kernels import KERNELS, MaternSobolev, RadialKernel, Wendland
-
-SQUARE = np.random.default_rng(20).uniform(size=(2000, 2))
-
 
 # Size of the states, their offset, and beta: of each kind of distance there are some.
 PLACES = {
@@ -37,9 +33,9 @@ PLACES = {
     "small": (1e-3, 10.0, 1.0),
     "tiny": (1e-100, 0.0, 1e-100),
     "huge": (1e100, 0.0, 1e100),
-    "tiny kernel": (1.0, 0.0, 1e-100),
+    "tiny kernel": (1.0, 0.0, 1e-60),
     "huge kernel": (1.0, 0.0, 1e100),
-    "squares beyond doubles": (1.0, 0.0, 1e-200),
+    "huge beside the kernel": (1e60, 0.0, 1.0),
 }
 
 
@@ -126,7 +122,7 @@ def test_gram_product_of_any_number_of_centres(n_features):
         sections = KernelSections(MaternSobolev(2.0), points)
         expected = kernel_matrix("matern32", points, points, 2.0) @ V
         for n_jobs in (1, 2, 7):
-            found = gram_product(sections, points, V, n_jobs)
+            found = gram_product(sections, V, n_jobs)
             assert np.abs(found - expected).max() < 1e-12 * n
 
 
@@ -135,7 +131,7 @@ def test_gram_product_of_foreign_kernel_leaves_out_noise():
     points, V = rng.normal(size=(300, 2)), rng.normal(size=(300, 1))
     sections = KernelSections(RBF(0.7) + WhiteKernel(0.5), points)
     expected = kernel_matrix("gaussian", points, points, 0.7) @ V
-    found = gram_product(sections, points, V)
+    found = gram_product(sections, V)
     assert np.abs(found - expected).max() < 1e-11
 
 
@@ -144,7 +140,7 @@ def test_gram_product_of_foreign_kernel_leaves_out_noise():
 def test_gram_matrix(kernel, n):
     points = np.random.default_rng(5).normal(size=(n, 3))
     nugget = np.linspace(0.1, 0.2, n)
-    K, excess, norm = gram_matrix(KernelSections(kernel, points), points, nugget)
+    K, excess, norm = gram_matrix(KernelSections(kernel, points), nugget)
     expected = kernel(points) + np.diag(nugget)
     np.testing.assert_allclose(np.tril(K), np.tril(expected), rtol=1e-12, atol=1e-14)
     noise = 0.5 if isinstance(kernel, MaternSobolev) is False else 0.0
@@ -213,14 +209,20 @@ def test_profile_with_and_without_out(name):
     np.testing.assert_allclose(fresh.ravel(), expected, rtol=1e-14)
 
 
-def test_distances_beyond_the_range_of_doubles():
-    # No inf * 0 where the polynomial factor overflows and the exponential vanishes.
-    centers = np.array([[0.0, 0.0], [1e200, 0.0]])
+def test_distances_beyond_the_range_of_doubles_are_refused():
+    # Up to there the polynomial factors fit in a double: no inf * 0.
     for name in KERNELS:
-        sections = KernelSections(KERNELS[name](beta=1e-50), centers)
-        K = matrix(sections, np.array([[0.0, 0.0], [1e200, 1e200]]))
-        assert K[0, 0] == 1.0
-        np.testing.assert_allclose(K.ravel()[1:], 0.0, atol=1e-70)
+        near = KernelSections(KERNELS[name](beta=1e-50), np.array([[0.0], [1e19]]))
+        K = matrix(near, near.centers)
+        np.testing.assert_array_equal(np.diag(K), [1.0, 1.0])
+        assert np.abs(K[0, 1]) < 1e-60
+        far = KernelSections(KERNELS[name](beta=1e-50), np.array([[0.0], [1e21]]))
+        for evaluate in (
+            matrix,
+            lambda sections, X: gram_matrix(sections, np.zeros(2)),
+        ):
+            with pytest.raises(ValueError, match=r"rescale the states.* raise beta"):
+                evaluate(far, far.centers)
 
 
 @pytest.mark.parametrize("n_features", [1, 2, 3, 4, 7, 10])
@@ -232,48 +234,61 @@ def test_sparse_matrix_in_any_dimension(n_features, smoothness):
     beta = 0.35 * np.sqrt(n_features)
     sections = KernelSections(Wendland(beta, smoothness, max(n_features, 3)), centers)
     expected = kernel_matrix(f"wendland_c{smoothness}", X, centers, beta)
-    found = sparse_matrix(sections, X)
+    tree = kd_tree(sections.kernel, centers)
+    found = sparse_matrix(sections, X, tree)
     assert found.nnz < expected.size
     np.testing.assert_allclose(found.toarray(), expected, rtol=1e-11, atol=1e-15)
 
 
-def test_prediction_takes_the_sparse_way_where_little_is_not_zero(monkeypatch):
+def test_prediction_takes_the_sparse_way_where_little_is_not_zero():
     rng = np.random.default_rng(9)
-    centers, X = rng.uniform(size=(3000, 2)), rng.uniform(size=(700, 2))
+    # More rows than a sparse matrix holds at once.
+    centers, X = rng.uniform(size=(3000, 2)), rng.uniform(size=(20_000, 2))
     dual = rng.normal(size=(3000, 2))
     narrow = KernelSections(Wendland(0.02, 2, 3), centers)
     wide = KernelSections(Wendland(0.5, 2, 3), centers)
-    assert is_sparse(narrow, X)
-    assert not is_sparse(wide, X)
-    assert not is_sparse(narrow.take(np.arange(10)), X)
-    assert not is_sparse(KernelSections(MaternSobolev(0.01), centers), X)
-    assert not is_sparse(DistanceSections(Wendland(0.02), np.arange(3000)), X)
-    monkeypatch.setattr(sections_module, "SPARSE_ROWS", 256)
-    for sections in (narrow, wide):
+    assert sparse_tree(narrow, X) is not None
+    assert sparse_tree(wide, X) is None
+    assert sparse_tree(narrow.take(np.arange(10)), X) is None
+    assert sparse_tree(narrow, X[:3]) is None  # a tree would take longer
+    assert sparse_tree(KernelSections(MaternSobolev(0.01), centers), X) is None
+    distances = PrecomputedSections(Wendland(0.02), np.arange(3000), X[:3000])
+    assert sparse_tree(distances, X) is None
+    for sections, rows in ((narrow, X), (wide, X[:700])):
         beta = sections.kernel.beta
-        expected = kernel_matrix("wendland_c2", X[:60], centers, beta) @ dual
+        shown = slice(None, None, len(rows) // 60)
+        expected = kernel_matrix("wendland_c2", rows[shown], centers, beta) @ dual
         for n_jobs in (None, 2):
-            found = product(sections, X, dual, n_jobs)
-            assert found.shape == (700, 2)
-            assert np.abs(found[:60] - expected).max() < 1e-12
+            found = product(sections, rows, dual, n_jobs)
+            assert found.shape == (len(rows), 2)
+            assert np.abs(found[shown] - expected).max() < 1e-12
+
+
+def test_expansion_adds_the_trend():
+    rng = np.random.default_rng(12)
+    centers, X = rng.normal(size=(40, 3)), rng.normal(size=(70, 3))
+    dual, trend = rng.normal(size=(40, 4)), rng.normal(size=(4, 4))
+    origin = centers.mean(axis=0)
+    sections = KernelSections(MaternSobolev(2.0), centers)
+    kernel_part = kernel_matrix("matern32", X, centers, 2.0) @ dual
+    for terms in (0, 1, 4):
+        f = KernelExpansion(sections, dual, origin, trend[:terms])
+        monomials = np.hstack([np.ones((70, 1)), X - origin])[:, :terms]
+        expected = kernel_part + monomials @ trend[:terms]
+        np.testing.assert_allclose(f(X), expected, atol=1e-12)
+        np.testing.assert_allclose(f.take([2, 0])(X), expected[:, [2, 0]], atol=1e-12)
+        weights = rng.normal(size=(4, 2))
+        combined = f.combine(weights)(X)
+        np.testing.assert_allclose(combined, expected @ weights, atol=1e-11)
 
 
 def test_states_out_of_reach_of_all_centres():
     rng = np.random.default_rng(10)
     sections = KernelSections(Wendland(0.02, 2, 3), rng.uniform(size=(3000, 2)))
     X = np.full((100, 2), 50.0)
-    assert is_sparse(sections, X)
+    assert sparse_tree(sections, X) is not None
     found = product(sections, X, np.ones((3000, 1)))
     np.testing.assert_array_equal(found, np.zeros((100, 1)))
-
-
-def test_pickle_of_sections_leaves_out_the_tree():
-    sections = KernelSections(Wendland(0.02, 2, 3), SQUARE)
-    before = len(pickle.dumps(sections))
-    assert sections.tree.n == 2000
-    assert len(pickle.dumps(sections)) == before
-    loaded = pickle.loads(pickle.dumps(sections))
-    np.testing.assert_allclose(loaded.tree.data, sections.centers / 0.02)
 
 
 def test_integer_and_fortran_ordered_states():
