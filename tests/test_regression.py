@@ -310,16 +310,28 @@ def test_a_vanishing_weight_is_none(scattered, trend):
     assert_allclose(none, tiny, rtol=1e-10)
 
 
-def test_trend_is_that_of_all_rows_where_the_centres_are_few():
+def test_trend_that_the_centres_do_not_determine_is_refused():
     rng = np.random.default_rng(6)
     X = rng.standard_normal((200, 10))
-    A, far = rng.standard_normal((10, 2)), 100 * rng.standard_normal((20, 10))
+    X[:, 3] = 7.0  # a feature that does not vary needs no centres
+    y = X @ rng.standard_normal((10, 2)) + 3.0
     model = KoopmanKernelRegressor(
-        centers=KMeans(4, n_init=1, random_state=0),
+        centers=KMeans(9, n_init=1, random_state=0),
         method="least_squares",
         trend="linear",
-    ).fit(X, X @ A + 3.0)
-    assert_allclose(model.predict(far), far @ A + 3.0, rtol=1e-8)
+    )
+    with pytest.raises(ValueError, match=r"the 9 independent .* more centres than fea"):
+        model.fit(X, y)
+    assert not hasattr(model, "dual_coef_")
+    model.set_params(centers__n_clusters=10).fit(X, y)
+    far = 100 * rng.standard_normal((20, 10))
+    far[:, 3] = 7.0
+    expected = far @ np.linalg.lstsq(X, y, rcond=None)[0]
+    assert_allclose(model.predict(far), expected, rtol=1e-6)
+    # Centres in a plane.
+    model.set_params(centers=np.insert(X[:20, :9], 9, 0.0, axis=1))
+    with pytest.raises(ValueError, match="not all in one plane"):
+        model.fit(X, y)
 
 
 def test_trend_is_zero_in_directions_that_rows_do_not_show():
@@ -651,8 +663,8 @@ def test_a_kernel_that_is_not_positive_definite_is_refused(method):
         model.fit(X, X[:, 0])
 
 
-def test_trend_survives_the_loss_of_centres():
-    """A kernel too wide to tell one centre from another leaves linear regression."""
+def test_trend_that_is_lost_with_dependent_centres_is_refused():
+    """A kernel too wide to tell one centre from another leaves a single one."""
     rng = np.random.default_rng(10)
     X, A = rng.standard_normal((100, 6)), rng.standard_normal((6, 2))
     model = KoopmanKernelRegressor(
@@ -662,9 +674,9 @@ def test_trend_survives_the_loss_of_centres():
         method="least_squares",
         alpha=1e-3,
         trend="linear",
-    ).fit(X, X @ A)
-    assert len(model.centers_) < 20
-    assert_allclose(model.predict(10 * X), 10 * X @ A, rtol=1e-7)
+    )
+    with pytest.raises(ValueError, match="independent centres do not determine"):
+        model.fit(X, X @ A)
 
 
 def test_regularised_least_squares_leaves_centres_out_in_silence():
