@@ -368,6 +368,7 @@ default=None
         # Attributes are set last: a fit that fails leaves the estimator as it was.
         validate_data(self, given, skip_check_array=True)
         self.kernel_ = system.sections.kernel
+        assert isinstance(system.sections, KernelSections)
         self.centers_ = system.sections.centers
         self.center_indices_ = None if found.rows is None else here[found.rows]
         self.rcond_ = system.rcond()
@@ -386,11 +387,13 @@ default=None
         self._system = system
         largest = np.abs(outputs if more else targets[:, :n_outputs]).max(axis=0)
         self._limit = DIVERGED * np.maximum(largest, 1e-6 * largest.max())
-        self.koopman_matrix_, self._start = matrix, coordinates[:, :n_outputs]
+        self.koopman_matrix_ = matrix
+        self._start: Array | None = coordinates[:, :n_outputs]
         functions = system.expand(coordinates)
         modes = np.empty((0, n_outputs), dtype=np.complex128)
         self.eigenvalues_, self.residuals_ = modes[:, 0], np.empty(0)
-        self._weights, self._phi_dual_coef, self._phi_trend_coef = modes, None, None
+        self._weights = modes
+        self._phi_dual_coef = self._phi_trend_coef = np.empty((0, 0))
         if spectrum is not None:
             lam, phi = spectrum.eigenvalues, spectrum.eigenfunctions
             if len(lam) < len(matrix):
@@ -656,6 +659,7 @@ default=None
                 negligible = negligible_tolerance(len(X), self.alpha)
         else:
             _, rows = choose_centers(self.centers, X, targets, among_rows=True)
+            assert rows is not None  # since they are among the rows
             nugget = np.full(len(rows), float(self.alpha))
         system = DirectSystem(KernelSections(kernel, X[rows]), nugget, degree, solver)
         fit = system.interpolate(targets[rows], negligible)
@@ -706,7 +710,7 @@ default=None
             if len(self._trend_coef):
                 degree = min(len(self._trend_coef) - 1, 1)
             sections = KernelSections(self.kernel_, self.centers_)
-            self._system = restore_system(sections, self._nugget, degree, "cholesky")
+            self._system = restore_system(sections, self._nugget, degree)
         return self._system
 
 

@@ -245,6 +245,11 @@ default="auto"
     True
     """
 
+    centers_: Array
+    dual_coef_: Array
+    _averages: tuple[Array, Array, Array]
+    _n_rows: int
+
     def __init__(
         self,
         kernel: Any = "matern32",
@@ -398,8 +403,10 @@ default="auto"
         outputs, growth = y.reshape(len(y), -1), getattr(self, "_growth", None)
         if self._interpolates_centers:
             system, averages = self._direct_system(), AveragedOutputs(*self._averages)
-            rows, n_rows = self.center_indices_, self._n_rows
-            estimate = add_centers(system, averages, rows, n_rows, self, X, outputs)
+            rows = np.asarray(self.center_indices_)
+            estimate = add_centers(
+                system, averages, rows, self._n_rows, self, X, outputs
+            )
         elif growth is not None:
             estimate = add_rows(growth, self.alpha, X, outputs)
         else:
@@ -589,12 +596,13 @@ default="auto"
             The estimate, computed once.
         """
         if "_rcond" not in vars(self):
-            if not isinstance(getattr(self, "_system", None), DirectSystem):
+            system = getattr(self, "_system", None)
+            if not isinstance(system, DirectSystem):
                 raise AttributeError(
                     "rcond_ takes a dense Cholesky factor: fit first, and not with "
                     "conjugate gradients."
                 )
-            self._rcond = self._system.rcond()
+            self._rcond = system.rcond()
         return self._rcond
 
     def __getstate__(self) -> dict[str, Any]:
@@ -604,18 +612,16 @@ default="auto"
         state = dict(super().__getstate__())
         for name in _NOT_PICKLED:
             state.pop(name, None)
-        given = state["centers"]
-        if isinstance(given, np.ndarray) and np.array_equal(
-            given, state.get("centers_")
-        ):
-            state["centers_"] = given
+        given, own = state["centers"], state.get("centers_")
+        if isinstance(given, np.ndarray) and own is not None:
+            state["centers_"] = given if np.array_equal(given, own) else own
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore the state, with centres of its own."""
         super().__setstate__(state)
-        if getattr(self, "centers_", None) is self.centers:
-            self.centers_ = self.centers.copy()
+        if hasattr(self, "centers_") and self.centers_ is self.centers:
+            self.centers_ = np.copy(self.centers)
 
     @property
     def _is_precomputed(self) -> bool:
@@ -636,11 +642,12 @@ default="auto"
         return X, y
 
     def _check_parameters(self) -> None:
-        choices = {"method": METHODS, "trend": DEGREES, "solver": SOLVERS}
+        choices: dict[str, Any] = {"method": METHODS, "trend": DEGREES}
         iterative = isinstance(self.solver, ConjugateGradient)
-        if iterative:
+        if isinstance(self.solver, ConjugateGradient):
             check_solver(self.solver)
-            del choices["solver"]
+        else:
+            choices["solver"] = SOLVERS
         check_parameters(self, non_negative=("alpha",), **choices)
         if not self._is_precomputed:
             return
@@ -668,6 +675,7 @@ default="auto"
         outputs = y.reshape(len(y), -1)
         once, none = np.ones(len(X)), np.zeros(outputs.shape[1])
         sections: Sections
+        rows: Indices | None
         if self.centers is None:
             averages = AveragedOutputs(outputs, once, none)
             exact = self.method == "interpolation" and self.alpha == 0
@@ -684,7 +692,7 @@ default="auto"
         else:
             points, rows = choose_centers(self.centers, X, y, among_rows=interpolates)
             sections = KernelSections(kernel, points)
-        if not interpolates:
+        if not interpolates or rows is None:
             return sections, rows, None
         return sections, rows, AveragedOutputs(outputs[rows], once[rows], none)
 
@@ -708,7 +716,7 @@ default="auto"
         self.center_indices_ = rows
         if isinstance(sections, PrecomputedSections):
             self._columns = sections.columns
-        else:
+        elif isinstance(sections, KernelSections):
             self.centers_ = sections.centers
         self.dual_coef_ = shaped(fit.expansion.dual_coef)
         if system.trend is not None:
@@ -724,7 +732,7 @@ default="auto"
         self._n_rows = n_rows
         self._nugget = system.nugget
         if averages is not None:
-            self._averages = tuple(averages)
+            self._averages = (*averages,)
         self._system = system
 
     def _sections(self) -> Sections:
@@ -765,8 +773,9 @@ default="auto"
                 f"trend={self.trend!r}; give norm, or take more centres."
             )
         seminorm = np.ravel(self.signal_std_) * np.sqrt(degrees)
-        self._norms = native_norm(system, self._averages[0], seminorm)
-        return self._norms
+        norms = native_norm(system, self._averages[0], seminorm)
+        self._norms: Array = norms
+        return norms
 
     def _direct_system(self) -> DirectSystem:
         system = self._fitted_system()
@@ -787,9 +796,13 @@ default="auto"
         degree = None
         if hasattr(self, "trend_coef_"):
             degree = min(len(self.trend_coef_) - 1, 1)
-        self._system = restore_system(
-            self._sections(), self._nugget, degree, self.solver_, self.n_jobs
-        )
+        sections, solver = self._sections(), self.solver_
+        if isinstance(solver, ConjugateGradient):
+            self._system = make_system(
+                sections, self._nugget, degree, solver, n_jobs=self.n_jobs
+            )
+        else:
+            self._system = restore_system(sections, self._nugget, degree, solver)
         return self._system
 
 

@@ -115,12 +115,13 @@ def decompose(
     factors /= size
     weights = weights / factors[:, np.newaxis]
     functions = _scale(functions, lam, factors)
-    reduced = n_modes is not None and n_modes < len(order)
-    if reduced:
+    n_kept = len(order)
+    if n_modes is not None and n_modes < n_kept:
         # A conjugate pair stays together.
-        order = order[: n_modes + int(lam[order[n_modes - 1]].imag > 0)]
+        n_kept = n_modes + int(lam[order[n_modes - 1]].imag > 0)
+        order = order[:n_kept]
     lam, functions = lam[order], functions.take(order)
-    if reduced:
+    if n_kept < len(matrix):
         weights = best_weights(functions, lam, system.expand(targets), X)
     else:
         weights = weights[order]
@@ -245,12 +246,12 @@ def best_weights(
         trend_coef=np.hstack([functions.trend_coef, targets.trend_coef]),
     )
     m, columns = len(eigenvalues), both.dual_coef.shape[1]
-    triangle = np.empty((0, columns))
+    triangle: Array = np.empty((0, columns))
     # Row by row into one triangular factor, since normal equations would square the
     # condition number of eigenfunctions that are nearly parallel.
     for rows in gen_batches(len(X), max(block_entries // columns, columns)):
         stacked = np.vstack([triangle, both(X[rows])])
-        triangle = np.asarray(qr(stacked, mode="r")[0])[:columns]
+        triangle = np.array(qr(stacked, mode="r")[0][:columns])
     weights = lstsq(triangle[:, :m], triangle[:, m:])[0]
     return unpack_weights(weights, eigenvalues)
 

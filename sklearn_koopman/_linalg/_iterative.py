@@ -6,6 +6,8 @@ polynomials of the trend. Their coefficients follow from what remains of the val
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from scipy.linalg.lapack import dtrtri
 from scipy.sparse import csr_array
@@ -184,17 +186,15 @@ class IterativeSystem:
             T = U[:, determined]
             axes = V[determined].T / lengths[determined]
         tree = sparse_tree(sections, X, MAX_DENSITY_TO_HOLD)
+        forward: Product
+        backward: Product
         if tree is not None:
             k = sparse_matrix(sections, X, tree)
             forward, backward = k.__matmul__, k.T.tocsr().__matmul__
         else:
             rows = KernelSections(sections.kernel, X)
-
-            def forward(c: Array) -> Array:
-                return product(sections, X, c, n_jobs)
-
-            def backward(v: Array) -> Array:
-                return product(rows, sections.centers, v, n_jobs)
+            forward = partial(product, sections, X, n_jobs=n_jobs)
+            backward = partial(product, rows, sections.centers, n_jobs=n_jobs)
 
         def normal(c: Array) -> Array:
             return backward(complement(T, forward(c))) + alpha * self.product(c)

@@ -77,11 +77,18 @@ DENSE_OVERHEAD = 1.3
 class System(Protocol):
     """The Gram matrix of the centres, ready to be solved with."""
 
-    sections: Sections  # of the centres that are kept
-    kept: Indices  # which of the centres offered these are
+    kept: Indices  # which of the centres offered have been kept
+    nugget: Array  # what their diagonal has in addition
     trend: PolynomialTrend | None
     trend_rank: int  # number of polynomials that the centres determine
-    solver: str | ConjugateGradient
+
+    @property
+    def sections(self) -> Sections:
+        """The kernel sections of the centres that are kept."""
+
+    @property
+    def solver(self) -> str | ConjugateGradient:
+        """The solver that is used."""
 
     def interpolate(self, u: Array, negligible: float = 0.0) -> Fit:
         """Return the function with the values u at the centres."""
@@ -145,12 +152,9 @@ def restore_system(
     sections: Sections,
     nugget: Array,
     degree: int | None,
-    solver: str | ConjugateGradient,
-    n_jobs: int | None = None,
-) -> System:
+    solver: str = "pivoted_cholesky",
+) -> DirectSystem:
     """Make the system of a fitted estimator anew, which a pickle does not hold."""
-    if isinstance(solver, ConjugateGradient):
-        return make_system(sections, nugget, degree, solver, n_jobs=n_jobs)
     try:
         # Centres that were dropped are not among these, and no other may be now.
         system = DirectSystem(sections, nugget, degree, "cholesky")

@@ -17,7 +17,7 @@ from sklearn_koopman._linalg._fit import (
 from sklearn_koopman._linalg._incremental import GrowingLeastSquares, GrowingSystem
 from sklearn_koopman._linalg._systems import DirectSystem
 from sklearn_koopman._matrices._polynomial import DEGREES
-from sklearn_koopman._matrices._sections import KernelSections
+from sklearn_koopman._matrices._sections import KernelSections, Sections
 from sklearn_koopman._regression._estimate import Estimate, keep_averages
 from sklearn_koopman._utils._rows import AveragedOutputs, average_equal_rows
 from sklearn_koopman._utils._typing import Array, Indices
@@ -135,7 +135,7 @@ def add_centers(
 
 
 def start_least_squares(
-    sections: KernelSections, model: Any, X: Array, y: Array
+    sections: Sections, model: Any, X: Array, y: Array
 ) -> tuple[GrowingLeastSquares, Estimate]:
     """Return least squares at given centres for the first batch.
 
