@@ -677,7 +677,8 @@ default="auto"
         sections: Sections
         rows: Indices | None
         if self.centers is None:
-            averages = AveragedOutputs(outputs, once, none)
+            # Later batches need them, whatever becomes of y.
+            averages = AveragedOutputs(outputs.copy(), once, none)
             exact = self.method == "interpolation" and self.alpha == 0
             rows, averages = average_equal_rows(X, averages, exact, np.arange(len(X)))
             return KernelSections(kernel, X[rows]), rows, averages

@@ -29,7 +29,7 @@ MAX_BLOCKS = 64
 MAX_ADDED_PART = 0.25
 # The bound of the reciprocal condition number by pivots is at most this much too high.
 PIVOT_OPTIMISM = 1e3
-# Centres at which a suspect interpolant is verified.
+# Centres at which a suspect interpolant is verified, besides those that changed.
 VERIFIED_CENTERS = 128
 
 
@@ -44,7 +44,10 @@ class GrowingSystem(DirectSystem):
 
     def __init__(self, system: DirectSystem, u: Array) -> None:
         vars(self).update(vars(system))
-        self.offered = self.sections  # what was dropped before is forgotten
+        # What was dropped before is forgotten.
+        self.offered, self.offered_nugget = self.sections, self.nugget
+        self.kept = np.arange(self.sections.size)
+        self.changed = self.kept[:0]
         self.blocks = [self.__dict__.pop("lower")]
         self.origin = self.sections.points[0].copy()
         self.u = u
@@ -85,9 +88,11 @@ class GrowingSystem(DirectSystem):
             raise np.linalg.LinAlgError("the weights of centres have changed")
         if sections.size > M:
             grown._add_centers(sections, nugget, u)
-        if not np.array_equal(u[:M], self.u):
+        differs = (u[:M] != self.u).any(axis=1)
+        if differs.any():
             grown.transformed_u = grown._forward(u)
         grown.u = u
+        grown.changed = np.append(np.flatnonzero(differs), np.arange(M, len(u)))
         return grown
 
     def interpolate(self, u: Array, negligible: float = 0.0) -> Fit:
@@ -104,6 +109,8 @@ class GrowingSystem(DirectSystem):
         expansion = self._expand(z, b)
         if self.rcond_bound < PIVOT_OPTIMISM * RCOND_TO_VERIFY:
             rows = np.arange(0, len(u), max(len(u) // VERIFIED_CENTERS, 1))
+            # Errors are largest where sections nearly cancel: at what was added.
+            rows = np.union1d(rows, self.changed)
             reached = expansion(self.sections.points[rows])
             reached += self.excess[rows, np.newaxis] * expansion.dual_coef[rows]
             self._verify(relative_error(reached, u[rows]))
@@ -117,7 +124,7 @@ class GrowingSystem(DirectSystem):
         M = self.sections.size
         new = np.arange(M, sections.size)
         added_sections = sections.take(new)
-        corner, excess, norm = gram_matrix(added_sections, nugget[new])
+        corner, excess, _ = gram_matrix(added_sections, nugget[new])
         added = self._forward(matrix(self.sections, added_sections.centers).T)
         remainder = dgemm(-1.0, added, added, 1.0, corner, trans_a=1)
         lower = cholesky(remainder, lower=True, overwrite_a=True, check_finite=False)
@@ -140,7 +147,6 @@ class GrowingSystem(DirectSystem):
         self.kept = np.arange(sections.size)
         self.nugget = self.offered_nugget = nugget
         self.excess = np.append(self.excess, excess)
-        self.norm += norm
         n_added = sum(len(block) for block in self.blocks[1:])
         few = n_added <= MAX_ADDED_PART * len(self.blocks[0])
         if not few or len(self.blocks) > MAX_BLOCKS:
@@ -209,7 +215,7 @@ class GrowingLeastSquares:
             self.equations.add(self.system, X, y.__getitem__)
             self.n_rows += len(X)
             return self.fit(X, alpha)
-        except ValueError:  # of linear algebra, too
+        except BaseException:  # of a kernel, or an interruption, too
             np.copyto(self.equations.upper, before.upper)
             before.upper = self.equations.upper
             self.n_rows, self.equations = n_rows, before

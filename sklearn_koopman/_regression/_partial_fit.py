@@ -123,7 +123,8 @@ def add_centers(
         fit = system.interpolate(u)
     except np.linalg.LinAlgError:  # too few digits are left for an update
         system = DirectSystem(sections, nugget, DEGREES[model.trend], system.solver)
-        negligible = negligible_tolerance(len(X), model.alpha) if fits else 0.0
+        n_seen = n_rows + len(X)
+        negligible = negligible_tolerance(n_seen, model.alpha) if fits else 0.0
         fit = system.interpolate(u, negligible)
     averages = keep_averages(averages, fit, system.kept, sections.centers)
     rows, n_rows = numbers[chosen][system.kept], n_rows + len(X)
