@@ -12,7 +12,6 @@ from scipy.linalg.blas import dgemm
 from sklearn_koopman._linalg._cholesky import MIN_RCOND, RCOND_TO_VERIFY, pivot_rcond
 from sklearn_koopman._linalg._fit import (
     Fit,
-    check_rows_suffice,
     check_trend_determined,
     relative_error,
     scale_residuals,
@@ -230,7 +229,6 @@ class GrowingLeastSquares:
             If rounding leaves too few digits.
         """
         system = self.system
-        check_rows_suffice(self.n_rows, len(system.kept), alpha)
         F = np.empty_like(system.lower)
         z, b, dof = self.equations.solve(system, alpha, F)
         norms = self.equations.residual_norms(z, b)
