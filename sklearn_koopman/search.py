@@ -309,7 +309,12 @@ default=None
             method=self.method, trend=self.trend, solver=self.solver
         )
         problem = Problem(X, y, points, splits, regressor, centers is None)
-
+        for i, fold in enumerate(problem.folds):
+            if problem.interpolates and len(fold.out) == len(points):
+                raise ValueError(
+                    f"cv={self.cv!r} holds out all centres in fold {i}; choose more "
+                    f"centres than {len(points)}, or smaller folds."
+                )
         share = problem, grid["alpha"], scorer, self.cv is None
         with warnings.catch_warnings():
             # Refits may lose dependent centres; the winner warns if it does.

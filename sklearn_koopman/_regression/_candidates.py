@@ -80,19 +80,15 @@ class Problem:
         size = np.bincount(place, minlength=M)[:M]
         has_equal = bool((size > 1).any())
         folds = []
-        for i, (rows, test, order) in enumerate(self.splits):
+        for rows, test, order in self.splits:
             out, lost = np.unique(place[rows], return_counts=True)
             out, lost = out[out < M], lost[out < M]
             # The outputs of centres that stay change if equal rows go, or if the order
             # of equal rows is another one.
             is_gone = lost == size[out]
             is_changed = not is_gone.all() or (has_equal and order is not None)
+            is_changed |= is_gone.sum() == M
             folds.append(Fold(out[is_gone], place[test], is_changed))
-            if is_gone.sum() == M:
-                raise ValueError(
-                    f"cv holds out all centres in fold {i}; choose more centres than "
-                    f"{M}, or smaller folds."
-                )
         return folds
 
     def predict(
@@ -159,7 +155,7 @@ class Problem:
         [found] = kept._leave_out(kernel, [alpha], is_verified=True)
         if isinstance(found, ValueError):
             found = [None] * len(self.splits)
-        return kept._complete(kernel, alpha, found)
+        return self._complete(kernel, alpha, found)
 
     def _complete(
         self, kernel: Any, alpha: float, predictions: Predictions
