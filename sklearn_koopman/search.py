@@ -140,6 +140,12 @@ default=None
         Scale of the outputs in terms of the kernel, in the unit of the outputs.
     noise_std_ : float or ndarray of shape (n_outputs,)
         Standard deviation of the outputs about the estimate, in their unit.
+    rcond_ : float
+        Estimate of the reciprocal condition number of the matrix that the winner has
+        factored. Not with conjugate gradients.
+    solver_ : str or ConjugateGradient
+        How the winner was solved. `n_iter_` and `solver_residual_` of conjugate
+        gradients are there, too.
     n_features_in_ : int
         Number of features seen during `fit`.
     feature_names_in_ : ndarray of shape (n_features_in_,)
@@ -311,8 +317,8 @@ default=None
             method=self.method, trend=self.trend, solver=self.solver
         )
         problem = Problem(X, y, points, splits, regressor, centers is None)
-        for i, fold in enumerate(problem.folds):
-            if problem.interpolates and len(fold.out) == len(points):
+        for i, fold in enumerate(problem.folds if problem.interpolates else ()):
+            if len(fold.out) == len(points):
                 raise ValueError(
                     f"cv={self.cv!r} holds out all centres in fold {i}; choose more "
                     f"centres than {len(points)}, or smaller folds."
@@ -355,11 +361,7 @@ default=None
 
     @property
     def rcond_(self) -> float:
-        """Reciprocal condition number of the matrix that the winner has factored.
-
-        It is estimated when it is first asked for. The winner has none if it was
-        solved by conjugate gradients.
-        """
+        """Reciprocal condition number of the matrix that the winner has factored."""
         return float(self.best_estimator_.rcond_)
 
     def predict(self, X: Any, return_std: bool = False) -> Array | tuple[Array, Array]:
