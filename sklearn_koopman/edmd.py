@@ -1,41 +1,32 @@
 """The Koopman operator itself: its matrix, its spectrum and its forecasts."""
 
-from __future__ import annotations
-
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_array, check_X_y
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman._dynamics._forecast import apply_powers, relift_states, sum_modes
-from sklearn_koopman._dynamics._operator import (
-    block_diagonal,
-    fit_operator,
-    interpolate_operator,
-)
-from sklearn_koopman._dynamics._spectrum import decompose, pack_weights, unpack
-from sklearn_koopman._dynamics._successors import check_successors, find_successors
-from sklearn_koopman._linalg._fit import (
-    Fit,
-    negligible_tolerance,
-)
-from sklearn_koopman._linalg._systems import SOLVERS, DirectSystem, restore_system
-from sklearn_koopman._matrices._polynomial import DEGREES
-from sklearn_koopman._matrices._sections import KernelExpansion, KernelSections
-from sklearn_koopman._utils._rows import distinct_rows, group_means
-from sklearn_koopman._utils._typing import Array, Complex, Indices, Mask
-from sklearn_koopman._utils._validation import (
+from ._dynamics._forecast import apply_powers, relift_states, sum_modes
+from ._dynamics._operator import block_diagonal, fit_operator, interpolate_operator
+from ._dynamics._spectrum import decompose, pack_weights, unpack
+from ._dynamics._successors import check_successors, find_successors
+from ._linalg._fit import Fit, negligible_tolerance
+from ._linalg._systems import SOLVERS, DirectSystem, restore_system
+from ._matrices._polynomial import DEGREES
+from ._matrices._sections import KernelExpansion, KernelSections
+from ._utils._rows import distinct_rows, group_means
+from ._utils._typing import Array, Complex, Indices, Mask
+from ._utils._validation import (
     check_flag,
     check_integer,
     check_magnitude,
     check_number,
     check_parameters,
 )
-from sklearn_koopman._utils._warnings import warn
-from sklearn_koopman.centers import SeparatedCenterSelector, choose_centers
-from sklearn_koopman.kernels import as_kernel
+from ._utils._warnings import warn
+from .centers import SeparatedCenterSelector, choose_centers
+from .kernels import as_kernel
 
 __all__ = ["KernelEDMD"]
 
@@ -280,7 +271,7 @@ default=None
         *,
         X_next: Any = None,
         sample_index: Any = None,
-    ) -> KernelEDMD:
+    ) -> Self:
         """Choose the centres, estimate the operator and analyse its spectrum.
 
         Parameters
@@ -623,7 +614,7 @@ default=None
 
     def _estimate(
         self, X: Array, X_next: Array, targets: Array, *, every_row: bool
-    ) -> _Operator:
+    ) -> "_Operator":
         """Estimate the operator, and the targets one step ahead, from pairs."""
         kernel = as_kernel(self.kernel, self.beta, X.shape[1])
         degree = DEGREES[self.trend]

@@ -1,7 +1,5 @@
 """Radial kernels with known native spaces, as scikit-learn kernels."""
 
-from __future__ import annotations
-
 from abc import ABCMeta, abstractmethod
 from collections.abc import Callable
 from functools import partial
@@ -18,8 +16,8 @@ from sklearn.gaussian_process.kernels import (
     StationaryKernelMixin,
 )
 
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_integer, check_number
+from ._utils._typing import Array
+from ._utils._validation import check_integer, check_number
 
 __all__ = [
     "KERNELS",

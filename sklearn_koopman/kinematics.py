@@ -1,13 +1,11 @@
 """From marker positions to joint angles and body-frame outputs."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_koopman._utils._typing import Array
+from ._utils._typing import Array
 
 __all__ = ["leg_angles"]
 

@@ -1,8 +1,6 @@
 """Kernel estimate of the Koopman operator acting on the outputs."""
 
-from __future__ import annotations
-
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
@@ -10,49 +8,40 @@ from sklearn.utils import check_X_y
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman._linalg._fit import (
-    estimate_noise,
-    negligible_tolerance,
-)
-from sklearn_koopman._linalg._systems import (
-    SOLVERS,
-    DirectSystem,
-    System,
-    make_system,
-    restore_system,
-)
-from sklearn_koopman._matrices._polynomial import DEGREES
-from sklearn_koopman._matrices._sections import (
+from ._linalg._fit import estimate_noise, negligible_tolerance
+from ._linalg._systems import SOLVERS, DirectSystem, System, make_system, restore_system
+from ._matrices._polynomial import DEGREES
+from ._matrices._sections import (
     KernelExpansion,
     KernelSections,
     PrecomputedSections,
     Sections,
 )
-from sklearn_koopman._regression._error_bound import (
+from ._regression._error_bound import (
     check_norms,
     error_bound,
     left_out_reach,
     native_norm,
 )
-from sklearn_koopman._regression._estimate import Estimate, keep_averages
-from sklearn_koopman._regression._partial_fit import (
+from ._regression._estimate import Estimate, keep_averages
+from ._regression._partial_fit import (
     add_centers,
     add_rows,
     check_can_grow,
     start_least_squares,
 )
-from sklearn_koopman._utils._rows import AveragedOutputs, average_equal_rows
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman._utils._validation import (
+from ._utils._rows import AveragedOutputs, average_equal_rows
+from ._utils._typing import Array, Indices
+from ._utils._validation import (
     MAX_MAGNITUDE,
     MIN_MAGNITUDE,
     check_distances,
     check_magnitude,
     check_parameters,
 )
-from sklearn_koopman.centers import choose_centers, rows_at_distance_zero
-from sklearn_koopman.kernels import as_kernel
-from sklearn_koopman.solvers import ConjugateGradient, check_solver
+from .centers import choose_centers, rows_at_distance_zero
+from .kernels import as_kernel
+from .solvers import ConjugateGradient, check_solver
 
 __all__ = ["KoopmanKernelRegressor"]
 
@@ -271,7 +260,7 @@ default="auto"
         self.solver = solver
         self.n_jobs = n_jobs
 
-    def fit(self, X: Any, y: Any) -> KoopmanKernelRegressor:
+    def fit(self, X: Any, y: Any) -> Self:
         """Choose the centres and compute the coefficients.
 
         Parameters
@@ -338,7 +327,7 @@ default="auto"
         return self
 
     @available_if(check_can_grow)
-    def partial_fit(self, X: Any, y: Any) -> KoopmanKernelRegressor:
+    def partial_fit(self, X: Any, y: Any) -> Self:
         """Learn from a further batch of rows, as if all had been given to one `fit`.
 
         Interpolation adds the rows that become centres to the Cholesky factor: with

@@ -1,7 +1,5 @@
 """Scores of forecasts over several steps, for cross-validation by trajectories."""
 
-from __future__ import annotations
-
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -13,10 +11,10 @@ import numpy as np
 from sklearn.utils import check_array, check_consistent_length, gen_batches
 from sklearn.utils.metadata_routing import MetadataRequest
 
-from sklearn_koopman._utils._pipeline import transformed, unwrap
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman._utils._validation import check_flag, check_integer, check_number
-from sklearn_koopman.trajectories import match_successors, successor_rows
+from ._utils._pipeline import transformed, unwrap
+from ._utils._typing import Array, Indices
+from ._utils._validation import check_flag, check_integer, check_number
+from .trajectories import match_successors, successor_rows
 
 __all__ = [
     "ForecastScorer",
@@ -36,7 +34,7 @@ def make_forecast_scorer(
     discount: float = 1.0,
     relift: bool = False,
     error_score: str | float = np.nan,
-) -> HorizonErrorScorer:
+) -> "HorizonErrorScorer":
     """Make a scorer of the error of forecasts over a horizon.
 
     The score is minus the root mean square error of the forecasts, in the unit of the
@@ -130,7 +128,7 @@ def make_forecast_scorer(
 
 def make_valid_time_scorer(
     n_steps: int, tolerance: float, *, relift: bool = False
-) -> ValidTimeScorer:
+) -> "ValidTimeScorer":
     """Make a scorer that counts the steps until the error passes a tolerance.
 
     The error of a forecast is the Euclidean distance of predicted and true outputs. The

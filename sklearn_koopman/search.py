@@ -1,12 +1,10 @@
 """Cross-validated choice of the kernel, its scale and the weight of the penalty."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from itertools import product
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from joblib import effective_n_jobs
@@ -20,9 +18,9 @@ from sklearn.utils import check_X_y
 from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_koopman._linalg._systems import SOLVERS
-from sklearn_koopman._matrices._polynomial import DEGREES
-from sklearn_koopman._regression._candidates import (
+from ._linalg._systems import SOLVERS
+from ._matrices._polynomial import DEGREES
+from ._regression._candidates import (
     IdentityRegressor,
     Problem,
     Split,
@@ -30,14 +28,14 @@ from sklearn_koopman._regression._candidates import (
     score_kernel,
     tabulate,
 )
-from sklearn_koopman._utils._parallel import one_thread
-from sklearn_koopman._utils._rows import distinct_rows
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_number, check_parameters
-from sklearn_koopman._utils._warnings import warn
-from sklearn_koopman.centers import choose_centers
-from sklearn_koopman.kernels import as_kernel
-from sklearn_koopman.regression import METHODS, KoopmanKernelRegressor
+from ._utils._parallel import one_thread
+from ._utils._rows import distinct_rows
+from ._utils._typing import Array
+from ._utils._validation import check_number, check_parameters
+from ._utils._warnings import warn
+from .centers import choose_centers
+from .kernels import as_kernel
+from .regression import METHODS, KoopmanKernelRegressor
 
 __all__ = ["KoopmanKernelRegressorCV"]
 
@@ -259,7 +257,7 @@ default=None
         self.cv = cv
         self.n_jobs = n_jobs
 
-    def fit(self, X: Any, y: Any, groups: Any = None) -> KoopmanKernelRegressorCV:
+    def fit(self, X: Any, y: Any, groups: Any = None) -> Self:
         """Choose kernel, scale and weight, and fit the estimate to all rows.
 
         Parameters

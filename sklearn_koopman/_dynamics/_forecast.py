@@ -4,18 +4,16 @@ Each function fills in an array y of shape (n_samples, n_steps, n_outputs), whos
 step is known, and leaves NaN where a diverging forecast ends.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from itertools import islice
 
 import numpy as np
 from sklearn.utils import gen_batches
 
-from sklearn_koopman._dynamics._operator import generate_powers
-from sklearn_koopman._dynamics._spectrum import pack_weights
-from sklearn_koopman._matrices._sections import KernelExpansion
-from sklearn_koopman._utils._typing import Array, Complex
+from .._matrices._sections import KernelExpansion
+from .._utils._typing import Array, Complex
+from ._operator import generate_powers
+from ._spectrum import pack_weights
 
 # Entries of the arrays that are held at once.
 ENTRIES_PER_BLOCK = 2**22

@@ -5,24 +5,16 @@ one for a real eigenvalue, and the real and the imaginary part of the first of a
 conjugate pair, side by side.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import lstsq, qr
-from scipy.linalg.lapack import (
-    dgecon,
-    dgeev,
-    dgeev_lwork,
-    dgetrf,
-    dgetrs,
-)
+from scipy.linalg.lapack import dgecon, dgeev, dgeev_lwork, dgetrf, dgetrs
 from sklearn.utils import gen_batches
 
-from sklearn_koopman._linalg._systems import DirectSystem
-from sklearn_koopman._matrices._sections import KernelExpansion
-from sklearn_koopman._utils._typing import Array, Complex, Mask
+from .._linalg._systems import DirectSystem
+from .._matrices._sections import KernelExpansion
+from .._utils._typing import Array, Complex, Mask
 
 # Entries of the arrays that are held at once.
 ENTRIES_PER_BLOCK = 2**22

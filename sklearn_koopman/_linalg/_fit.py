@@ -1,17 +1,15 @@
 """What a system returns, and what it says where there is no estimate."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgWarning
 from sklearn.utils import gen_batches
 
-from sklearn_koopman._matrices._polynomial import PolynomialTrend
-from sklearn_koopman._matrices._sections import KernelExpansion
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._warnings import warn
+from .._matrices._polynomial import PolynomialTrend
+from .._matrices._sections import KernelExpansion
+from .._utils._typing import Array
+from .._utils._warnings import warn
 
 REMEDY = (
     "Choose centres with a larger separation, lower beta, raise alpha, or take a less "

@@ -4,8 +4,6 @@ A system with the Gram matrix is solved by conjugate gradients in the complement
 polynomials of the trend. Their coefficients follow from what remains of the values.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
@@ -14,32 +12,9 @@ from scipy.sparse import csr_array
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_random_state, gen_batches
 
-from sklearn_koopman._linalg._cholesky import cholesky
-from sklearn_koopman._linalg._conjugate_gradient import (
-    CGResult,
-    Product,
-    beyond_rounding,
-    complement,
-    conjugate_gradients,
-)
-from sklearn_koopman._linalg._fit import (
-    REMEDY,
-    Fit,
-    check_rows_suffice,
-    check_trend_determined,
-    estimate_noise,
-    no_estimate,
-)
-from sklearn_koopman._linalg._preconditioners import (
-    banded_solver,
-    bandwidth,
-    low_rank_inverse,
-    neighbor_preconditioner,
-    pivoted_factor,
-)
-from sklearn_koopman._matrices import _sparse
-from sklearn_koopman._matrices._polynomial import PolynomialTrend
-from sklearn_koopman._matrices._sections import (
+from .._matrices import _sparse
+from .._matrices._polynomial import PolynomialTrend
+from .._matrices._sections import (
     KernelExpansion,
     KernelSections,
     gram_matrix,
@@ -49,9 +24,32 @@ from sklearn_koopman._matrices._sections import (
     sparse_matrix,
     sparse_tree,
 )
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman._utils._warnings import warn
-from sklearn_koopman.solvers import ConjugateGradient
+from .._utils._typing import Array, Indices
+from .._utils._warnings import warn
+from ..solvers import ConjugateGradient
+from ._cholesky import cholesky
+from ._conjugate_gradient import (
+    CGResult,
+    Product,
+    beyond_rounding,
+    complement,
+    conjugate_gradients,
+)
+from ._fit import (
+    REMEDY,
+    Fit,
+    check_rows_suffice,
+    check_trend_determined,
+    estimate_noise,
+    no_estimate,
+)
+from ._preconditioners import (
+    banded_solver,
+    bandwidth,
+    low_rank_inverse,
+    neighbor_preconditioner,
+    pivoted_factor,
+)
 
 # Up to this density, a matrix that is multiplied with many times is held as a sparse
 # one.

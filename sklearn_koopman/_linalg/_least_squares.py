@@ -9,13 +9,11 @@ rows, they are
 of which z is eliminated. Their sums over rows can be extended and added up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from joblib import effective_n_jobs
@@ -24,14 +22,9 @@ from scipy.linalg.lapack import dpotri, dpotrs
 from sklearn.utils import gen_batches
 from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_koopman._linalg._cholesky import (
-    RCOND_TO_VERIFY,
-    cholesky,
-    exact_rcond,
-    rows_per_block,
-)
-from sklearn_koopman._matrices._sections import Sections
-from sklearn_koopman._utils._typing import Array
+from .._matrices._sections import Sections
+from .._utils._typing import Array
+from ._cholesky import RCOND_TO_VERIFY, cholesky, exact_rcond, rows_per_block
 
 # The outputs of a slice of the rows, so that many need not be held at once.
 Outputs = Callable[[slice], Array]
@@ -78,9 +71,7 @@ class NormalEquations:
     diagonal: float  # sum of k(x, x)
 
     @classmethod
-    def empty(
-        cls, basis: OrthonormalBasis, upper: Array, n_outputs: int
-    ) -> NormalEquations:
+    def empty(cls, basis: OrthonormalBasis, upper: Array, n_outputs: int) -> Self:
         """Return the sums over no rows."""
         M, q = basis.Q.shape
         for column in range(1, M):
@@ -89,7 +80,7 @@ class NormalEquations:
         AT, TT = np.zeros((M, q)), np.zeros((q, q))
         return cls(upper, np.zeros(M), Ay, AT, Ty, TT, np.zeros(n_outputs), 0.0)
 
-    def copy(self) -> NormalEquations:
+    def copy(self) -> Self:
         """Return a copy that shares nothing."""
         return deepcopy(self)
 
@@ -108,7 +99,7 @@ class NormalEquations:
             self.yy += np.einsum("ij,ij->j", values, values)
             self.diagonal += float(basis.sections.diagonal(X[rows]).sum())
 
-    def merge(self, other: NormalEquations) -> None:
+    def merge(self, other: Self) -> None:
         """Add the sums over other rows."""
         for column in range(1, len(self.upper)):
             self.upper[:column, column] += other.upper[:column, column]

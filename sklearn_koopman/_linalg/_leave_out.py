@@ -18,8 +18,6 @@ other rows, of size M, or that of the residuals r = y - H y, of the size of S:
     y[S] - prediction[S] = (I - H[S, S])^-1 r[S].
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -31,7 +29,8 @@ from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dgemm, dsyrk
 from scipy.linalg.lapack import dpocon, dposv, dpotrs, dtrtri
 
-from sklearn_koopman._linalg._cholesky import (
+from .._utils._typing import Array, Indices
+from ._cholesky import (
     MIN_RCOND,
     PIVOT_OPTIMISM,
     RCOND_TO_VERIFY,
@@ -39,7 +38,6 @@ from sklearn_koopman._linalg._cholesky import (
     exact_rcond,
     pivot_rcond,
 )
-from sklearn_koopman._utils._typing import Array, Indices
 
 EPSILON = float(np.finfo(np.float64).eps)
 # Largest error of the interpolant at the centres, relative to the outputs.

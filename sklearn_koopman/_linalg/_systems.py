@@ -14,8 +14,6 @@ regression on a(x), whose matrix has the square root of the condition number tha
 kernel sections themselves would give it.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from typing import Protocol, TypeVar, cast
@@ -26,13 +24,20 @@ from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dpocon, dtrtri
 from sklearn.base import clone
 
-from sklearn_koopman._linalg._cholesky import (
-    RCOND_TO_VERIFY,
-    factorize,
-    independent_centers,
-    rows_per_block,
+from .._matrices._polynomial import PolynomialTrend
+from .._matrices._sections import (
+    KernelExpansion,
+    KernelSections,
+    Sections,
+    gram_matrix,
+    matrix,
+    sparse_tree,
 )
-from sklearn_koopman._linalg._fit import (
+from .._utils._parallel import by_rows
+from .._utils._typing import Array, Indices
+from ..solvers import ConjugateGradient
+from ._cholesky import RCOND_TO_VERIFY, factorize, independent_centers, rows_per_block
+from ._fit import (
     REMEDY,
     Fit,
     check_rows_suffice,
@@ -43,20 +48,8 @@ from sklearn_koopman._linalg._fit import (
     relative_error,
     warn_dropped,
 )
-from sklearn_koopman._linalg._iterative import IterativeSystem
-from sklearn_koopman._linalg._least_squares import least_squares
-from sklearn_koopman._matrices._polynomial import PolynomialTrend
-from sklearn_koopman._matrices._sections import (
-    KernelExpansion,
-    KernelSections,
-    Sections,
-    gram_matrix,
-    matrix,
-    sparse_tree,
-)
-from sklearn_koopman._utils._parallel import by_rows
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman.solvers import ConjugateGradient
+from ._iterative import IterativeSystem
+from ._least_squares import least_squares
 
 T = TypeVar("T")
 
@@ -153,7 +146,7 @@ def restore_system(
     nugget: Array,
     degree: int | None,
     solver: str = "pivoted_cholesky",
-) -> DirectSystem:
+) -> "DirectSystem":
     """Make the system of a fitted estimator anew, which a pickle does not hold."""
     try:
         # Centres that were dropped are not among these, and no other may be now.

@@ -1,12 +1,10 @@
 """Polynomial trends: constants and linear functions beside the kernel sections."""
 
-from __future__ import annotations
-
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from sklearn_koopman._utils._typing import Array, Mask
+from .._utils._typing import Array, Mask
 
 DEGREES: dict[str | None, int | None] = {None: None, "constant": 0, "linear": 1}
 
@@ -30,9 +28,7 @@ class PolynomialTrend(NamedTuple):
     is_determined: bool  # False if other polynomials vanish on the centres only
 
     @classmethod
-    def at(
-        cls, centers: Array, degree: int, extent: Array | None = None
-    ) -> PolynomialTrend:
+    def at(cls, centers: Array, degree: int, extent: Array | None = None) -> Self:
         """Return the polynomials that the centres determine.
 
         Features without an extent, from their smallest to their largest value, are

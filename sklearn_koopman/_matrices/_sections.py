@@ -6,10 +6,8 @@ same arrays throughout: the operating system would otherwise map new ones for ev
 tile, which takes longer than the kernel.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from joblib import effective_n_jobs
@@ -19,16 +17,11 @@ from scipy.spatial.distance import cdist
 from sklearn.utils import gen_batches
 from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_koopman._matrices import _sparse
-from sklearn_koopman._matrices._polynomial import polynomial
-from sklearn_koopman._utils._parallel import by_rows, one_thread
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman.kernels import (
-    MAX_SCALED_COORDINATE,
-    RadialKernel,
-    radial_values,
-    scale_states,
-)
+from .._utils._parallel import by_rows, one_thread
+from .._utils._typing import Array, Indices
+from ..kernels import MAX_SCALED_COORDINATE, RadialKernel, radial_values, scale_states
+from . import _sparse
+from ._polynomial import polynomial
 
 # Writes k(X[rows], Xi[columns]) to an array of that shape.
 Tiles = Callable[[slice, slice, Array], None]
@@ -66,7 +59,7 @@ class Sections(Protocol):
     def points(self) -> Array:
         """The centres, as rows at which the sections can be evaluated."""
 
-    def take(self, kept: Indices) -> Sections:
+    def take(self, kept: Indices) -> Self:
         """Return the sections of some of the centres."""
 
     def diagonal(self, X: Array) -> Array:
@@ -96,8 +89,8 @@ class KernelSections(NamedTuple):
     def points(self) -> Array:
         return self.centers
 
-    def take(self, kept: Indices) -> KernelSections:
-        return KernelSections(self.kernel, self.centers[kept])
+    def take(self, kept: Indices) -> Self:
+        return type(self)(self.kernel, self.centers[kept])
 
     def diagonal(self, X: Array) -> Array:
         return self.kernel.diag(X)
@@ -137,8 +130,8 @@ class PrecomputedSections(NamedTuple):
     def size(self) -> int:
         return len(self.columns)
 
-    def take(self, kept: Indices) -> PrecomputedSections:
-        return PrecomputedSections(self.kernel, self.columns[kept], self.points[kept])
+    def take(self, kept: Indices) -> Self:
+        return type(self)(self.kernel, self.columns[kept], self.points[kept])
 
     def diagonal(self, X: Array) -> Array:
         return np.repeat(self.kernel.diag(np.zeros((1, 1))), len(X))
@@ -178,13 +171,13 @@ class KernelExpansion(NamedTuple):
             values += polynomial(X, self.origin, self.trend_coef)
         return values
 
-    def combine(self, weights: Array) -> KernelExpansion:
+    def combine(self, weights: Array) -> Self:
         """Return linear combinations of the outputs."""
         return self._replace(
             dual_coef=self.dual_coef @ weights, trend_coef=self.trend_coef @ weights
         )
 
-    def take(self, outputs: Indices | slice) -> KernelExpansion:
+    def take(self, outputs: Indices | slice) -> Self:
         """Return the function of some of the outputs."""
         return self._replace(
             dual_coef=self.dual_coef[:, outputs],

@@ -4,27 +4,25 @@ A candidate is a kernel with its scale. It has predictions for every weight alph
 a closed form where that applies, and else from refits of the regressor.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from scipy.stats import rankdata
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 
-from sklearn_koopman._linalg._leave_out import (
+from .._linalg._leave_out import (
     Fold,
     Predictions,
     leave_out_interpolation,
     leave_out_least_squares,
 )
-from sklearn_koopman._matrices._polynomial import DEGREES, PolynomialTrend
-from sklearn_koopman._matrices._sections import KernelSections, matrix
-from sklearn_koopman._utils._rows import distinct_rows, group_means
-from sklearn_koopman._utils._typing import Array, Indices
+from .._matrices._polynomial import DEGREES, PolynomialTrend
+from .._matrices._sections import KernelSections, matrix
+from .._utils._rows import distinct_rows, group_means
+from .._utils._typing import Array, Indices
 
 
 class Split(NamedTuple):
@@ -174,7 +172,7 @@ class Problem:
 class IdentityRegressor(RegressorMixin, BaseEstimator):
     """Predicts its input, so that scorers can be applied to stored predictions."""
 
-    def fit(self, X: Any, y: Any = None) -> IdentityRegressor:
+    def fit(self, X: Any, y: Any = None) -> Self:
         return self
 
     def predict(self, X: Any) -> Any:

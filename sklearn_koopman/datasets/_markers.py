@@ -1,7 +1,5 @@
 """Marker files: the tab-separated format of Fukuchi et al., and OpenSim's TRC."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
@@ -11,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from sklearn.utils import Bunch
 
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_choice, check_number
+from .._utils._typing import Array
+from .._utils._validation import check_choice, check_number
 
 UNITS = ("mm", "cm", "m")
 # Markers of a body that are all closer together than this, in mm, have another unit.

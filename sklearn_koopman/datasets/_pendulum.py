@@ -1,7 +1,5 @@
 """A discrete pendulum with a known map and a known output."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 
@@ -9,9 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils import Bunch, check_array, check_random_state
 
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_integer, check_number
-from sklearn_koopman.trajectories import trajectory_pairs
+from .._utils._typing import Array
+from .._utils._validation import check_integer, check_number
+from ..trajectories import trajectory_pairs
 
 _DESCR = """\
 Pendulum of unit mass and length, simulated

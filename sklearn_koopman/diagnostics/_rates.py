@@ -1,7 +1,5 @@
 """Rates of convergence that the theory guarantees."""
 
-from __future__ import annotations
-
 from numbers import Real
 from typing import Any
 
@@ -19,8 +17,8 @@ from sklearn.gaussian_process.kernels import (
 )
 from sklearn.utils import Bunch
 
-from sklearn_koopman._utils._validation import check_integer, check_number
-from sklearn_koopman.kernels import RadialKernel, as_kernel
+from .._utils._validation import check_integer, check_number
+from ..kernels import RadialKernel, as_kernel
 
 
 def sobolev_rates(kernel: Any, n_features: int, dimension: float) -> Bunch:

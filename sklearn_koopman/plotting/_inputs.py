@@ -1,7 +1,5 @@
 """What displays take from estimators and data, and the checks of it."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from collections.abc import Mapping, Sequence
@@ -9,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_koopman._utils._pipeline import unwrap
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_integer, check_number
+from .._utils._pipeline import unwrap
+from .._utils._typing import Array
+from .._utils._validation import check_integer, check_number
 
 # Patterns of the names and the representations of kernels, and their common names.
 COMMON_NAMES = {
