@@ -1,5 +1,7 @@
 """Selection of separated kernel centres among samples."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from typing import Any, Self
 

@@ -1,5 +1,7 @@
 """The Koopman operator itself: its matrix, its spectrum and its forecasts."""
 
+from __future__ import annotations
+
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -614,7 +616,7 @@ default=None
 
     def _estimate(
         self, X: Array, X_next: Array, targets: Array, *, every_row: bool
-    ) -> "_Operator":
+    ) -> _Operator:
         """Estimate the operator, and the targets one step ahead, from pairs."""
         kernel = as_kernel(self.kernel, self.beta, X.shape[1])
         degree = DEGREES[self.trend]

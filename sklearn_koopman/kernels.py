@@ -1,5 +1,7 @@
 """Radial kernels with known native spaces, as scikit-learn kernels."""
 
+from __future__ import annotations
+
 from abc import ABCMeta, abstractmethod
 from collections.abc import Callable
 from functools import partial

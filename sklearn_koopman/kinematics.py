@@ -1,5 +1,7 @@
 """From marker positions to joint angles and body-frame outputs."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Kernel estimate of the Koopman operator acting on the outputs."""
 
+from __future__ import annotations
+
 from typing import Any, Self
 
 import numpy as np

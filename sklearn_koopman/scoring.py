@@ -1,5 +1,7 @@
 """Scores of forecasts over several steps, for cross-validation by trajectories."""
 
+from __future__ import annotations
+
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -34,7 +36,7 @@ def make_forecast_scorer(
     discount: float = 1.0,
     relift: bool = False,
     error_score: str | float = np.nan,
-) -> "HorizonErrorScorer":
+) -> HorizonErrorScorer:
     """Make a scorer of the error of forecasts over a horizon.
 
     The score is minus the root mean square error of the forecasts, in the unit of the
@@ -128,7 +130,7 @@ def make_forecast_scorer(
 
 def make_valid_time_scorer(
     n_steps: int, tolerance: float, *, relift: bool = False
-) -> "ValidTimeScorer":
+) -> ValidTimeScorer:
     """Make a scorer that counts the steps until the error passes a tolerance.
 
     The error of a forecast is the Euclidean distance of predicted and true outputs. The

@@ -1,5 +1,7 @@
 """Cross-validated choice of the kernel, its scale and the weight of the penalty."""
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
@@ -18,6 +20,7 @@ from sklearn.utils import check_X_y
 from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
 
+from ._linalg._fit import check_trend_determined
 from ._linalg._systems import SOLVERS
 from ._matrices._polynomial import DEGREES
 from ._regression._candidates import (
@@ -312,6 +315,8 @@ default=None
             among_rows = self.method == "interpolation"
             points, _ = choose_centers(centers, X, y, among_rows=among_rows)
         points = points[distinct_rows(points)[0]]
+        if self.method == "least_squares" and centers is not None:
+            check_trend_determined(DEGREES[self.trend], X, points)
         regressor = KoopmanKernelRegressor(
             method=self.method, trend=self.trend, solver=self.solver
         )

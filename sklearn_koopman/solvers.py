@@ -1,5 +1,7 @@
 """Solvers for Gram matrices that are too large to be held."""
 
+from __future__ import annotations
+
 from typing import Any
 
 from sklearn.base import BaseEstimator

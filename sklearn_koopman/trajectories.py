@@ -1,5 +1,7 @@
 """Pairs of samples along trajectories, and cross-validation by trajectories."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from typing import Any
 

@@ -98,7 +98,7 @@ def fit_operator(
     check_rows_suffice(len(X), system.offered.size, alpha)
 
     def attempt() -> tuple[Array, Array, Fit]:
-        check_trend_determined(system.trend, len(system.kept))
+        check_trend_determined(system.degree, X, system.sections.points)
         M = len(system.kept)
 
         def images(rows: slice) -> Array:

@@ -194,13 +194,14 @@ class GrowingLeastSquares:
     @classmethod
     def over(cls, system: DirectSystem, X: Array, y: Array) -> Self:
         """Start with the first rows."""
-        check_trend_determined(system.trend, len(system.kept))
         equations = NormalEquations.empty(system, system.lower, y.shape[1])
+        check_trend_determined(system.degree, X, system.sections.points)
         equations.add(system, X, y.__getitem__)
         return cls(system, equations, len(X))
 
     def add(self, X: Array, y: Array, alpha: float) -> Fit:
         """Add rows and return `fit`; if there is none, the rows do not count."""
+        check_trend_determined(self.system.degree, X, self.system.sections.points)
         n_rows, before = self.n_rows, self.equations.copy()
         try:
             self.equations.add(self.system, X, y.__getitem__)

@@ -89,7 +89,7 @@ class IterativeSystem:
         centers = sections.centers
         self.sections = sections
         self.kept: Indices = np.arange(len(centers))
-        self.nugget = nugget
+        self.nugget, self.degree = nugget, degree
         self.solver = solver
         diagonal = sections.diagonal(centers) + nugget
         self.excess: Array = diagonal - sections.smooth_diagonal(centers)
@@ -176,7 +176,7 @@ class IterativeSystem:
         sections = self.sections
         M, n, n_outputs = sections.size, len(X), y.shape[1]
         check_rows_suffice(n, M, alpha)
-        check_trend_determined(self.trend, M)
+        check_trend_determined(self.degree, X, sections.centers)
         T, axes = np.empty((n, 0)), np.empty((0, 0))
         if self.trend is not None:
             U, lengths, V = np.linalg.svd(self.trend.values(X), full_matrices=False)

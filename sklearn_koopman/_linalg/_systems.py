@@ -260,7 +260,7 @@ class DirectSystem:
         check_rows_suffice(len(X), self.offered.size, alpha)
 
         def attempt() -> Fit:
-            check_trend_determined(self.trend, len(self.kept))
+            check_trend_determined(self.degree, X, self.sections.points)
             solution = least_squares(self, X, y.__getitem__, y.shape[1], alpha, n_jobs)
             return self.fit_at(X, *solution)
 

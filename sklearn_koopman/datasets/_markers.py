@@ -1,5 +1,7 @@
 """Marker files: the tab-separated format of Fukuchi et al., and OpenSim's TRC."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches

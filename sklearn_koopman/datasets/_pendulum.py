@@ -1,5 +1,7 @@
 """A discrete pendulum with a known map and a known output."""
 
+from __future__ import annotations
+
 from functools import partial
 from typing import Any
 

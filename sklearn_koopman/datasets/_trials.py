@@ -1,5 +1,7 @@
 """Archives of the markers of several trials."""
 
+from __future__ import annotations
+
 import os
 from zipfile import BadZipFile
 

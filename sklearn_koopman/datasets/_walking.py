@@ -1,5 +1,7 @@
 """A synthetic two-link leg that walks."""
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator

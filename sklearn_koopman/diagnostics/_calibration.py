@@ -1,5 +1,7 @@
 """How far stated standard deviations agree with errors."""
 
+from __future__ import annotations
+
 from inspect import signature
 from numbers import Integral
 from typing import Any

@@ -1,5 +1,7 @@
 """How centres and samples lie on the manifold that they come from."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np
@@ -377,7 +379,7 @@ def measure(
     metric: str,
     n_neighbors: int | None = None,
     trajectory: Array | None = None,
-) -> "_Euclidean | _Geodesic":
+) -> _Euclidean | _Geodesic:
     """Prepare the distances of centres; warn where paths follow a trajectory.
 
     Parameters

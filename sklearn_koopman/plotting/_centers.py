@@ -1,5 +1,7 @@
 """Display of the samples and the centres chosen among them."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self

@@ -1,5 +1,7 @@
 """Display of studies of conditioning: what more, or closer, centres cost."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self

@@ -1,5 +1,7 @@
 """Display of studies of convergence: how errors fall with more centres."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self

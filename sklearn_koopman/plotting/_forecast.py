@@ -1,5 +1,7 @@
 """Display of predictions and forecasts over time."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any, Self
 

@@ -1,5 +1,7 @@
 """What displays take from estimators and data, and the checks of it."""
 
+from __future__ import annotations
+
 import inspect
 import re
 from collections.abc import Mapping, Sequence

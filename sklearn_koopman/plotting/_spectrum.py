@@ -1,5 +1,7 @@
 """Display of the spectrum of an operator."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any, Self
 

@@ -1,5 +1,7 @@
 """Display of an estimate as a surface over two state variables."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
