@@ -13,8 +13,8 @@ from ._dynamics._forecast import apply_powers, relift_states, sum_modes
 from ._dynamics._operator import block_diagonal, fit_operator, interpolate_operator
 from ._dynamics._spectrum import decompose, pack_weights, unpack
 from ._dynamics._successors import check_successors, find_successors
-from ._linalg._fit import Fit, negligible_tolerance
-from ._linalg._systems import SOLVERS, DirectSystem, restore_system
+from ._linalg._fit import Fit
+from ._linalg._systems import SOLVERS, DirectSystem, fit_every_row, restore_system
 from ._matrices._polynomial import DEGREES
 from ._matrices._sections import KernelExpansion, KernelSections
 from ._utils._rows import distinct_rows, group_means
@@ -346,18 +346,10 @@ default=None
             coordinates[:, :n_outputs] = system.fit_coordinates(
                 X, outputs, self.alpha, self.n_jobs
             )
-        spectrum = None
-        if self.n_modes != 0:
-            spectrum = decompose(
-                system,
-                matrix,
-                coordinates,
-                X[here],
-                X_next,
-                found.counted,
-                self.alpha,
-                self.n_modes,
-            )
+        pairs = X[here], X_next, found.counted
+        spectrum = decompose(
+            system, matrix, coordinates, *pairs, self.alpha, self.n_modes
+        )
         # Attributes are set last: a fit that fails leaves the estimator as it was.
         validate_data(self, given, skip_check_array=True)
         self.kernel_ = system.sections.kernel
@@ -382,27 +374,20 @@ default=None
         self._limit = DIVERGED * np.maximum(largest, 1e-6 * largest.max())
         self.koopman_matrix_ = matrix
         self._start: Array | None = coordinates[:, :n_outputs]
-        functions = system.expand(coordinates)
-        modes = np.empty((0, n_outputs), dtype=np.complex128)
-        self.eigenvalues_, self.residuals_ = modes[:, 0], np.empty(0)
-        self._weights = modes
-        self._phi_dual_coef = self._phi_trend_coef = np.empty((0, 0))
-        if spectrum is not None:
-            lam, phi = spectrum.eigenvalues, spectrum.eigenfunctions
-            if len(lam) < len(matrix):
-                self.koopman_matrix_, self._start = block_diagonal(lam), None
-                functions = phi.combine(pack_weights(spectrum.weights, lam))
-            self.eigenvalues_, self.residuals_ = lam, spectrum.residuals
-            self._weights = spectrum.weights[:, :n_outputs]
-            self._phi_dual_coef = phi.dual_coef
-            self._phi_trend_coef = phi.trend_coef
-            self._rcond_of_eigenvectors = spectrum.rcond
-            # The weights expand the outputs one step on: eigenvalue times mode.
-            size = np.abs(lam)
-            zero = size <= len(matrix) * np.finfo(float).eps * size.max()
-            modes = self._weights / np.where(zero, np.inf, lam)[:, np.newaxis]
-        self.modes_ = modes.reshape(len(modes), *shape)
+        lam, phi, self.residuals_, weights, self._rcond_of_eigenvectors = spectrum
+        if 0 < len(lam) < len(matrix):
+            self.koopman_matrix_, self._start = block_diagonal(lam), None
+            functions = phi.combine(pack_weights(weights, lam))
+        else:
+            functions = system.expand(coordinates)
         self._dual_coef, self._trend_coef = functions.dual_coef, functions.trend_coef
+        self._phi_dual_coef, self._phi_trend_coef = phi.dual_coef, phi.trend_coef
+        self.eigenvalues_, self._weights = lam, weights[:, :n_outputs]
+        # The weights expand the outputs one step on: eigenvalue times mode.
+        size = np.abs(lam)
+        zero = size <= len(matrix) * np.finfo(float).eps * size.max(initial=0.0)
+        modes = self._weights / np.where(zero, np.inf, lam)[:, np.newaxis]
+        self.modes_ = modes.reshape(len(lam), *shape)
         return self
 
     def predict(self, X: Any, return_std: bool = False) -> Array | tuple[Array, Array]:
@@ -517,9 +502,8 @@ default=None
             warn(
                 f"{diverged.any(axis=1).sum()} of {len(X)} forecasts diverge, the "
                 f"first at step {diverged.any(axis=0).argmax() + 1}: they exceed the "
-                f"training data {DIVERGED:g} times. Forecast fewer steps, set "
-                f"relift={not relift}, or fit with method='least_squares', alpha > 0 "
-                "or fewer n_modes.",
+                f"training data {DIVERGED:g} times. Set relift={not relift}, or fit "
+                "with method='least_squares', alpha > 0 or fewer n_modes.",
                 RuntimeWarning,
             )
         return y.reshape(len(X), n_steps, *self._output_shape)
@@ -604,13 +588,8 @@ default=None
                 f"centers must be None, an array or a selector, got {self.centers!r}; "
                 "the operator needs the states themselves, not distances."
             )
-        check_parameters(
-            self,
-            non_negative=("alpha",),
-            method=METHODS,
-            trend=DEGREES,
-            solver=SOLVERS,
-        )
+        choices = {"method": METHODS, "trend": DEGREES, "solver": SOLVERS}
+        check_parameters(self, non_negative=("alpha",), **choices)
         if self.n_modes is not None:
             check_integer(self.n_modes, "n_modes", 0)
 
@@ -643,19 +622,21 @@ default=None
         first, group, counts = distinct_rows(X)
         means = group_means(np.hstack([X_next, targets]), group)[group]
         mean_next, mean_targets = np.split(means, [X_next.shape[1]], axis=1)
-        negligible = 0.0
+        all_targets = targets
         if every_row:
             # Where equal states have different successors, the map is random, and its
             # operator takes the mean.
             rows, targets, nugget = first, mean_targets, self.alpha / counts
-            if self.method == "least_squares":
-                negligible = negligible_tolerance(len(X), self.alpha)
         else:
             _, rows = choose_centers(self.centers, X, targets, among_rows=True)
             assert rows is not None  # since they are among the rows
             nugget = np.full(len(rows), float(self.alpha))
         system = DirectSystem(KernelSections(kernel, X[rows]), nugget, degree, solver)
-        fit = system.interpolate(targets[rows], negligible)
+        if self.method == "interpolation":
+            fit = system.interpolate(targets[rows])
+        else:
+            data = targets[rows], X, all_targets
+            fit = fit_every_row(system, *data, self.alpha, self.n_jobs)
         rows = rows[system.kept]
         lots = group if every_row else np.arange(len(X))
         matrix, coordinates = interpolate_operator(system, X_next, targets, rows, lots)

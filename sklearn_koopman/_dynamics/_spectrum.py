@@ -83,6 +83,11 @@ def decompose(
     `counted`, those where no interpolation condition makes them vanish, or by leaving
     out one centre at a time if these are fewer than the centres.
     """
+    if n_modes == 0:
+        none = np.empty((len(matrix), 0))
+        weights = np.empty((0, targets.shape[1]), dtype=np.complex128)
+        functions = system.expand(none)
+        return SpectralDecomposition(weights[:, 0], functions, none[0], weights, 0.0)
     lam, vectors = eigenvectors(matrix)
     weights, rcond = expand_in_eigenvectors(vectors, lam, targets)
     functions = system.expand(vectors)

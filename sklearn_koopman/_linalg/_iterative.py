@@ -51,6 +51,7 @@ from ._preconditioners import (
     pivoted_factor,
 )
 
+MORE_ITERATIONS = "Raise max_iter, rank, n_neighbors or tol of the solver."
 # Up to this density, a matrix that is multiplied with many times is held as a sparse
 # one.
 MAX_DENSITY_TO_HOLD = 0.1
@@ -251,9 +252,8 @@ class IterativeSystem:
             residual = max(found.residual for found in results)
             warn(
                 "The power function is too large, by the square of a relative residual "
-                f"of up to {residual:.1e}, above tol={tol:.1e}: conjugate gradients "
-                "did not converge for all states. Raise max_iter, rank, n_neighbors "
-                "or tol of the solver.",
+                f"of up to {residual:.1e}, above tol={tol:.1e}: conjugate gradients did "
+                f"not converge. {MORE_ITERATIONS}",
                 ConvergenceWarning,
             )
         return np.sqrt(np.concatenate(parts))
@@ -314,11 +314,9 @@ class IterativeSystem:
             reason = f"conjugate gradients diverge (relative residual {residual:.1e})"
             raise no_estimate(kernel, M, reason)
         if residual > solver.tol + found.rounding:
-            advice = (
-                "Raise max_iter, rank, n_neighbors or tol of the solver."
-                if found.n_iter >= solver.max_iter
-                else "More of them did not help, as rounding allows no less: raise tol."
-            )
+            advice = "Rounding allows no less: raise tol."
+            if found.n_iter >= solver.max_iter:
+                advice = MORE_ITERATIONS
             warn(
                 f"Conjugate gradients for kernel={kernel!r} on {M} centres ended after "
                 f"{found.n_iter} iterations with a relative residual of "

@@ -141,6 +141,20 @@ def make_system(
     return DirectSystem(sections, nugget, degree, solver, extent)
 
 
+def fit_every_row(
+    system: System, u: Array, X: Array, y: Array, alpha: float, n_jobs: int | None
+) -> Fit:
+    """Return the least-squares fit of all rows if every row is a centre.
+
+    It is the interpolant of the means u of equal rows, with alpha on the diagonal.
+    """
+    fit = system.interpolate(u, negligible_tolerance(len(X), alpha))
+    if alpha > 0:
+        return fit
+    noise_std = estimate_noise(fit.expansion, X, y, fit.effective_dof, n_jobs)
+    return fit._replace(noise_std=noise_std)
+
+
 def restore_system(
     sections: Sections,
     nugget: Array,
