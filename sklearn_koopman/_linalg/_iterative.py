@@ -252,8 +252,8 @@ class IterativeSystem:
             residual = max(found.residual for found in results)
             warn(
                 "The power function is too large, by the square of a relative residual "
-                f"of up to {residual:.1e}, above tol={tol:.1e}: conjugate gradients did "
-                f"not converge. {MORE_ITERATIONS}",
+                f"of up to {residual:.1e}, above tol={tol:.1e}: conjugate gradients "
+                f"did not converge. {MORE_ITERATIONS}",
                 ConvergenceWarning,
             )
         return np.sqrt(np.concatenate(parts))
