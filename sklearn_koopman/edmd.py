@@ -14,7 +14,13 @@ from ._dynamics._operator import block_diagonal, fit_operator, interpolate_opera
 from ._dynamics._spectrum import decompose, pack_weights, unpack
 from ._dynamics._successors import check_successors, find_successors
 from ._linalg._fit import Fit
-from ._linalg._systems import SOLVERS, DirectSystem, fit_every_row, restore_system
+from ._linalg._systems import (
+    METHODS,
+    SOLVERS,
+    DirectSystem,
+    fit_every_row,
+    restore_system,
+)
 from ._matrices._polynomial import DEGREES
 from ._matrices._sections import KernelExpansion, KernelSections
 from ._utils._rows import distinct_rows, group_means
@@ -32,7 +38,6 @@ from .kernels import as_kernel
 
 __all__ = ["KernelEDMD"]
 
-METHODS = ("interpolation", "least_squares")
 # Modes are summed in the place of powers only if the reciprocal condition number of the
 # eigenvectors is at least this, so that both agree to about 1e-9.
 MIN_RCOND_OF_EIGENVECTORS = 1e-7
@@ -240,7 +245,7 @@ default=None
     (2, 100, 2)
     """
 
-    # Rows of metadata that mean one thing only: asked for without set_fit_request.
+    # Requested by default under metadata routing, without set_fit_request.
     __metadata_request__fit = {"X_next": True, "sample_index": True}
 
     def __init__(
@@ -336,7 +341,7 @@ default=None
                 X[here], X_next, targets, every_row=self.centers is None and not more
             )
         except ValueError as error:
-            if len(here) == len(X) or "row" not in str(error):
+            if len(here) == len(X):
                 raise
             raise ValueError(
                 f"{error} (Rows are counted among the {len(here)} with a successor.)"
@@ -481,18 +486,20 @@ default=None
         X = self._validated(X)
         n_outputs = len(self._limit)
         y = np.full((len(X), n_steps, n_outputs), np.nan)
-        y[:, 0] = self._predict(X)
         with np.errstate(over="ignore", invalid="ignore"):
-            if n_steps == 1:
+            if relift:
+                targets = self._expansion(self._dual_coef, self._trend_coef)
+                relift_states(X, y, targets, self.n_jobs)
+            else:
+                y[:, 0] = self._predict(X)
+            if relift or n_steps == 1:
                 pass
-            elif relift:
-                relift_states(X, y, self._expansion(self._dual_coef, self._trend_coef))
             elif self._start is None or self._modes_are_cheaper(len(X), n_steps):
                 phi = self._expansion(self._phi_dual_coef, self._phi_trend_coef)
-                sum_modes(X, y, phi, self.eigenvalues_, self._weights)
+                sum_modes(X, y, phi, self.eigenvalues_, self._weights, self.n_jobs)
             else:
-                expand = self._fitted_system().expand
-                apply_powers(X, y, self.koopman_matrix_, self._start, expand)
+                operator, expand = self.koopman_matrix_, self._fitted_system().expand
+                apply_powers(X, y, operator, self._start, expand, self.n_jobs)
             y[~np.isfinite(y)] = np.nan
             # A start far outside is no divergence, if the forecast comes back.
             limit = np.where(self._limit > 0, self._limit, np.inf)
@@ -647,7 +654,11 @@ default=None
         return _Operator(system, fit, matrix, coordinates, rows, counted)
 
     def _modes_are_cheaper(self, n_samples: int, n_steps: int) -> bool:
-        """Tell whether summing modes is cheaper than powers, and accurate."""
+        """Tell whether summing modes is cheaper than powers, and accurate.
+
+        Modes are evaluated for every row, and then weighted for every output. Powers
+        cost D^2 an output, half as much to expand it, and D for every row.
+        """
         if len(self.eigenvalues_) == 0:
             return False
         D, columns = len(self.koopman_matrix_), n_steps * len(self._limit)

@@ -11,6 +11,7 @@ from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from ._linalg._systems import (
+    METHODS,
     SOLVERS,
     DirectSystem,
     System,
@@ -52,8 +53,6 @@ from .kernels import as_kernel, is_isotropic
 from .solvers import ConjugateGradient, check_solver
 
 __all__ = ["KoopmanKernelRegressor"]
-
-METHODS = ("interpolation", "least_squares")
 
 
 class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):

@@ -21,7 +21,7 @@ from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
 
 from ._linalg._fit import check_trend_determined
-from ._linalg._systems import SOLVERS
+from ._linalg._systems import METHODS, SOLVERS
 from ._matrices._polynomial import DEGREES
 from ._regression._candidates import (
     IdentityRegressor,
@@ -38,7 +38,7 @@ from ._utils._validation import check_number, check_parameters
 from ._utils._warnings import warn
 from .centers import choose_centers
 from .kernels import as_kernel
-from .regression import METHODS, KoopmanKernelRegressor
+from .regression import KoopmanKernelRegressor
 
 __all__ = ["KoopmanKernelRegressorCV"]
 

@@ -15,9 +15,8 @@ from sklearn.utils import gen_batches
 from .._linalg._systems import DirectSystem
 from .._matrices._sections import KernelExpansion
 from .._utils._typing import Array, Complex, Mask
+from ._operator import ENTRIES_PER_BLOCK
 
-# Entries of the arrays that are held at once.
-ENTRIES_PER_BLOCK = 2**22
 # An eigenfunction of mean square one that is smaller at a row counts as zero there.
 MIN_EIGENFUNCTION = 1e-8
 

@@ -35,7 +35,7 @@ Outputs = Callable[[slice], Array]
 # Operations from which on it is worth while to start workers: below, BLAS has threads.
 PARALLEL_OPERATIONS = 1e11
 # Normal matrices with a smaller reciprocal condition number count as singular.
-MIN_RCOND = 1e-13
+MIN_NORMAL_RCOND = 1e-13
 # Polynomials of length one, of which less than this part of the squared length is left
 # beside the kernel part, are not determined by the rows.
 MIN_SQUARED_LENGTH = 1e-14
@@ -140,7 +140,7 @@ class NormalEquations:
         if q:
             dsyrk(along_Q, Q, 1.0, N, overwrite_c=1)
         N[np.diag_indices(M)] += alpha
-        if not _factor(N, min(MIN_RCOND, 1e-6 * basis.rcond_bound)):
+        if not _factor(N, min(MIN_NORMAL_RCOND, 1e-6 * basis.rcond_bound)):
             if basis.rcond_bound < RCOND_TO_VERIFY:
                 raise np.linalg.LinAlgError(
                     "the normal matrix is not positive definite"

@@ -1,10 +1,14 @@
-"""Systems with the Gram matrix of the centres, and which of them a solver means.
+"""Systems of equations with the Gram matrix of the centres, direct or iterative.
 
 A system is made once for its centres, and then finds interpolants, least-squares fits
 and the power function. :class:`DirectSystem` has a Cholesky factor, and
 :class:`~sklearn_koopman._linalg._iterative.IterativeSystem` only products with the
 matrix. :class:`~sklearn_koopman._linalg._incremental.GrowingSystem` is a direct one
 that takes further centres.
+
+Errors follow one rule. A `LinAlgError` means that there are too few digits: a direct
+system then tries again with fewer centres, or a growing one is factored anew. Any other
+`ValueError` is for the user.
 
 A direct system works in an orthonormal basis of the native space. With the Gram matrix
 K = L L^T, the vector a(x) = L^-1 k(Xi, x) holds the values of that basis at x. The
@@ -53,6 +57,7 @@ from ._least_squares import least_squares
 
 T = TypeVar("T")
 
+METHODS = ("interpolation", "least_squares")
 SOLVERS = ("auto", "pivoted_cholesky", "cholesky")
 # Largest error, relative to the values to be met, that passes the verification. Large
 # coefficients of alternating sign cost smooth kernels this much without harm, while
@@ -104,7 +109,7 @@ def make_system(
     extent: Array | None = None,
     n_jobs: int | None = None,
 ) -> System:
-    """Make the system that a solver means.
+    """Make a direct or an iterative system, as the parameter `solver` asks.
 
     Parameters
     ----------
@@ -146,7 +151,8 @@ def fit_every_row(
 ) -> Fit:
     """Return the least-squares fit of all rows if every row is a centre.
 
-    It is the interpolant of the means u of equal rows, with alpha on the diagonal.
+    By the representer theorem its coefficients are (K + alpha I)^-1 u: it is the
+    interpolant of the outputs u, means of equal rows, with alpha on the diagonal.
     """
     fit = system.interpolate(u, negligible_tolerance(len(X), alpha))
     if alpha > 0:
@@ -383,6 +389,7 @@ class DirectSystem:
         self.sections = self.offered if every else self.offered.take(self.kept)
         self.nugget = self.offered_nugget[self.kept]
         K, self.excess, self.norm = gram_matrix(self.sections, self.nugget)
+        # Least squares adds up its normal matrix in the upper triangle, which is free.
         self.lower, self.rcond_bound = factorize(K, self.norm)
         self.trend, P = None, np.empty((len(self.kept), 0))
         if self.degree is not None:
@@ -429,6 +436,7 @@ class DirectSystem:
         return a, np.asarray(np.linalg.solve(self.R.T, p.T), dtype=np.float64)
 
     def _squared_power(self, X: Array) -> Array:
+        # k(x, x) - |a|^2 + |t - Q^T a|^2
         a, t = self._values(X)
         variance = self.sections.diagonal(X) - np.einsum("ij,ij->j", a, a)
         if self.trend_rank:

@@ -37,11 +37,12 @@ SPARSE_ROWS = 2**14
 ENTRIES_TO_LIMIT_THREADS = 2**19
 # With more features, matrix products give the distances faster than differences do.
 MAX_FEATURES_FOR_DIFFERENCES = 4
-# Products lose the digits of distances far below the size of the states, in units of
-# the scale: smaller ones than this part of it are computed anew ...
+# Products lose the digits of small distances. Squared distances below this part of the
+# squared size of the states are computed anew.
 NEAR = 1e-6
-# ... and all of them where the squared size is larger than this.
-MAX_SQUARED_SIZE_FOR_PRODUCTS = 1e3
+# Products are not used for states with larger coordinates, or with larger squared
+# distances from their mean, in units of beta.
+MAX_SIZE_FOR_PRODUCTS = 1e3
 
 
 class Sections(Protocol):
@@ -351,7 +352,7 @@ def _radial_tiles(kernel: RadialKernel, X: Array, centers: Array, exact: bool) -
     if (
         not exact
         and n_features > MAX_FEATURES_FOR_DIFFERENCES
-        and extent < MAX_SQUARED_SIZE_FOR_PRODUCTS
+        and extent < MAX_SIZE_FOR_PRODUCTS
     ):
         by_products = _distances_by_products(x, c)
 
@@ -380,7 +381,7 @@ def _distances_by_products(
     left_squared = np.einsum("ij,ij->i", left, left)
     right_squared = np.einsum("ij,ij->i", right, right)
     size = float(left_squared.max(initial=0.0) + right_squared.max())
-    if size > MAX_SQUARED_SIZE_FOR_PRODUCTS:
+    if size > MAX_SIZE_FOR_PRODUCTS:
         return None
     left = np.column_stack([-2 * left, left_squared, np.ones(len(x))])
     right = np.vstack([right.T, np.ones(len(c)), right_squared])
