@@ -3,15 +3,15 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from sklearn_koopman.centers import SeparatedCenterSelector
-from sklearn_koopman.edmd import KernelEDMD
-from sklearn_koopman.regression import KoopmanKernelRegressor
-from sklearn_koopman.scoring import make_forecast_scorer, make_valid_time_scorer
-from sklearn_koopman.search import KoopmanKernelRegressorCV
-from sklearn_koopman.trajectories import TrajectoryKFold, trajectory_pairs
+from .centers import SeparatedCenterSelector
+from .edmd import KernelEDMD
+from .regression import KoopmanKernelRegressor
+from .scoring import make_forecast_scorer, make_valid_time_scorer
+from .search import KoopmanKernelRegressorCV
+from .trajectories import TrajectoryKFold, trajectory_pairs
 
 if TYPE_CHECKING:
-    from sklearn_koopman import datasets, diagnostics, kinematics, plotting
+    from . import datasets, diagnostics, kinematics, plotting
 
 __all__ = [
     "KernelEDMD",

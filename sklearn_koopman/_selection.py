@@ -1,7 +1,5 @@
 """Selection of separated centres among samples, by kd-trees."""
 
-from __future__ import annotations
-
 from functools import partial
 from itertools import product
 from typing import Any
@@ -10,12 +8,8 @@ import numpy as np
 from scipy.spatial import KDTree
 from sklearn.utils import gen_batches
 
-from sklearn_koopman._utils._typing import Array, Indices, Mask
-from sklearn_koopman._utils._validation import (
-    MAX_MAGNITUDE,
-    MIN_MAGNITUDE,
-    check_magnitude,
-)
+from ._utils._typing import Array, Indices, Mask
+from ._utils._validation import MAX_MAGNITUDE, MIN_MAGNITUDE, check_magnitude
 
 # Rows that are compared at a time, so that temporary arrays stay in the cache.
 CHUNK_ROWS = 2**14

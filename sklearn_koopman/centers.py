@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -19,10 +19,10 @@ from sklearn.utils import check_array
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman._selection import nearest_centers, select_centers
-from sklearn_koopman._utils._rows import distinct_rows
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman._utils._validation import (
+from ._selection import nearest_centers, select_centers
+from ._utils._rows import distinct_rows
+from ._utils._typing import Array, Indices
+from ._utils._validation import (
     check_distances,
     check_integer,
     check_magnitude,
@@ -34,7 +34,7 @@ __all__ = ["SeparatedCenterSelector"]
 ORDERS = ("sequential", "farthest")
 
 
-def _selects_in_batches(selector: SeparatedCenterSelector) -> bool:
+def _selects_in_batches(selector: Any) -> bool:
     if isinstance(selector.order, str) and selector.order == "farthest":
         raise AttributeError(
             "partial_fit cannot select with order='farthest', which compares all "
@@ -154,7 +154,7 @@ class SeparatedCenterSelector(
         self.order = order
         self.max_centers = max_centers
 
-    def fit(self, X: Any, y: Any = None) -> SeparatedCenterSelector:
+    def fit(self, X: Any, y: Any = None) -> Self:
         """Select the centres.
 
         Parameters
@@ -178,7 +178,7 @@ class SeparatedCenterSelector(
         return self._extend(X, {})
 
     @available_if(_selects_in_batches)
-    def partial_fit(self, X: Any, y: Any = None) -> SeparatedCenterSelector:
+    def partial_fit(self, X: Any, y: Any = None) -> Self:
         """Select further centres from the next batch of samples.
 
         The centres are those of one `fit` to all batches in a row, whatever the size of
@@ -221,7 +221,7 @@ class SeparatedCenterSelector(
         """
         return self._extend(X, vars(self))
 
-    def _extend(self, given: Any, fitted: Mapping[str, Any]) -> SeparatedCenterSelector:
+    def _extend(self, given: Any, fitted: Mapping[str, Any]) -> Self:
         """Select from a batch of samples, given the attributes after earlier ones."""
         is_first = "n_samples_seen_" not in fitted
         if is_first:

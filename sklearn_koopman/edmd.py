@@ -2,44 +2,42 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_array, check_X_y
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman._dynamics._forecast import apply_powers, relift_states, sum_modes
-from sklearn_koopman._dynamics._operator import (
-    block_diagonal,
-    fit_operator,
-    interpolate_operator,
+from ._dynamics._forecast import apply_powers, relift_states, sum_modes
+from ._dynamics._operator import block_diagonal, fit_operator, interpolate_operator
+from ._dynamics._spectrum import decompose, pack_weights, unpack
+from ._dynamics._successors import check_successors, find_successors
+from ._linalg._fit import Fit
+from ._linalg._systems import (
+    METHODS,
+    SOLVERS,
+    DirectSystem,
+    fit_every_row,
+    restore_system,
 )
-from sklearn_koopman._dynamics._spectrum import decompose, pack_weights, unpack
-from sklearn_koopman._dynamics._successors import check_successors, find_successors
-from sklearn_koopman._linalg._fit import (
-    Fit,
-    negligible_tolerance,
-)
-from sklearn_koopman._linalg._systems import SOLVERS, DirectSystem, restore_system
-from sklearn_koopman._matrices._polynomial import DEGREES
-from sklearn_koopman._matrices._sections import KernelExpansion, KernelSections
-from sklearn_koopman._utils._rows import distinct_rows, group_means
-from sklearn_koopman._utils._typing import Array, Complex, Indices, Mask
-from sklearn_koopman._utils._validation import (
+from ._matrices._polynomial import DEGREES
+from ._matrices._sections import KernelExpansion, KernelSections
+from ._utils._rows import distinct_rows, group_means
+from ._utils._typing import Array, Complex, Indices, Mask
+from ._utils._validation import (
     check_flag,
     check_integer,
     check_magnitude,
     check_number,
     check_parameters,
 )
-from sklearn_koopman._utils._warnings import warn
-from sklearn_koopman.centers import SeparatedCenterSelector, choose_centers
-from sklearn_koopman.kernels import as_kernel
+from ._utils._warnings import warn
+from .centers import SeparatedCenterSelector, choose_centers
+from .kernels import as_kernel
 
 __all__ = ["KernelEDMD"]
 
-METHODS = ("interpolation", "least_squares")
 # Modes are summed in the place of powers only if the reciprocal condition number of the
 # eigenvectors is at least this, so that both agree to about 1e-9.
 MIN_RCOND_OF_EIGENVECTORS = 1e-7
@@ -247,7 +245,7 @@ default=None
     (2, 100, 2)
     """
 
-    # Rows of metadata that mean one thing only: asked for without set_fit_request.
+    # Requested by default under metadata routing, without set_fit_request.
     __metadata_request__fit = {"X_next": True, "sample_index": True}
 
     def __init__(
@@ -280,7 +278,7 @@ default=None
         *,
         X_next: Any = None,
         sample_index: Any = None,
-    ) -> KernelEDMD:
+    ) -> Self:
         """Choose the centres, estimate the operator and analyse its spectrum.
 
         Parameters
@@ -343,7 +341,7 @@ default=None
                 X[here], X_next, targets, every_row=self.centers is None and not more
             )
         except ValueError as error:
-            if len(here) == len(X) or "row" not in str(error):
+            if len(here) == len(X):
                 raise
             raise ValueError(
                 f"{error} (Rows are counted among the {len(here)} with a successor.)"
@@ -353,18 +351,10 @@ default=None
             coordinates[:, :n_outputs] = system.fit_coordinates(
                 X, outputs, self.alpha, self.n_jobs
             )
-        spectrum = None
-        if self.n_modes != 0:
-            spectrum = decompose(
-                system,
-                matrix,
-                coordinates,
-                X[here],
-                X_next,
-                found.counted,
-                self.alpha,
-                self.n_modes,
-            )
+        pairs = X[here], X_next, found.counted
+        spectrum = decompose(
+            system, matrix, coordinates, *pairs, self.alpha, self.n_modes
+        )
         # Attributes are set last: a fit that fails leaves the estimator as it was.
         validate_data(self, given, skip_check_array=True)
         self.kernel_ = system.sections.kernel
@@ -389,27 +379,20 @@ default=None
         self._limit = DIVERGED * np.maximum(largest, 1e-6 * largest.max())
         self.koopman_matrix_ = matrix
         self._start: Array | None = coordinates[:, :n_outputs]
-        functions = system.expand(coordinates)
-        modes = np.empty((0, n_outputs), dtype=np.complex128)
-        self.eigenvalues_, self.residuals_ = modes[:, 0], np.empty(0)
-        self._weights = modes
-        self._phi_dual_coef = self._phi_trend_coef = np.empty((0, 0))
-        if spectrum is not None:
-            lam, phi = spectrum.eigenvalues, spectrum.eigenfunctions
-            if len(lam) < len(matrix):
-                self.koopman_matrix_, self._start = block_diagonal(lam), None
-                functions = phi.combine(pack_weights(spectrum.weights, lam))
-            self.eigenvalues_, self.residuals_ = lam, spectrum.residuals
-            self._weights = spectrum.weights[:, :n_outputs]
-            self._phi_dual_coef = phi.dual_coef
-            self._phi_trend_coef = phi.trend_coef
-            self._rcond_of_eigenvectors = spectrum.rcond
-            # The weights expand the outputs one step on: eigenvalue times mode.
-            size = np.abs(lam)
-            zero = size <= len(matrix) * np.finfo(float).eps * size.max()
-            modes = self._weights / np.where(zero, np.inf, lam)[:, np.newaxis]
-        self.modes_ = modes.reshape(len(modes), *shape)
+        lam, phi, self.residuals_, weights, self._rcond_of_eigenvectors = spectrum
+        if 0 < len(lam) < len(matrix):
+            self.koopman_matrix_, self._start = block_diagonal(lam), None
+            functions = phi.combine(pack_weights(weights, lam))
+        else:
+            functions = system.expand(coordinates)
         self._dual_coef, self._trend_coef = functions.dual_coef, functions.trend_coef
+        self._phi_dual_coef, self._phi_trend_coef = phi.dual_coef, phi.trend_coef
+        self.eigenvalues_, self._weights = lam, weights[:, :n_outputs]
+        # The weights expand the outputs one step on: eigenvalue times mode.
+        size = np.abs(lam)
+        zero = size <= len(matrix) * np.finfo(float).eps * size.max(initial=0.0)
+        modes = self._weights / np.where(zero, np.inf, lam)[:, np.newaxis]
+        self.modes_ = modes.reshape(len(lam), *shape)
         return self
 
     def predict(self, X: Any, return_std: bool = False) -> Array | tuple[Array, Array]:
@@ -503,18 +486,20 @@ default=None
         X = self._validated(X)
         n_outputs = len(self._limit)
         y = np.full((len(X), n_steps, n_outputs), np.nan)
-        y[:, 0] = self._predict(X)
         with np.errstate(over="ignore", invalid="ignore"):
-            if n_steps == 1:
+            if relift:
+                targets = self._expansion(self._dual_coef, self._trend_coef)
+                relift_states(X, y, targets, self.n_jobs)
+            else:
+                y[:, 0] = self._predict(X)
+            if relift or n_steps == 1:
                 pass
-            elif relift:
-                relift_states(X, y, self._expansion(self._dual_coef, self._trend_coef))
             elif self._start is None or self._modes_are_cheaper(len(X), n_steps):
                 phi = self._expansion(self._phi_dual_coef, self._phi_trend_coef)
-                sum_modes(X, y, phi, self.eigenvalues_, self._weights)
+                sum_modes(X, y, phi, self.eigenvalues_, self._weights, self.n_jobs)
             else:
-                expand = self._fitted_system().expand
-                apply_powers(X, y, self.koopman_matrix_, self._start, expand)
+                operator, expand = self.koopman_matrix_, self._fitted_system().expand
+                apply_powers(X, y, operator, self._start, expand, self.n_jobs)
             y[~np.isfinite(y)] = np.nan
             # A start far outside is no divergence, if the forecast comes back.
             limit = np.where(self._limit > 0, self._limit, np.inf)
@@ -524,9 +509,8 @@ default=None
             warn(
                 f"{diverged.any(axis=1).sum()} of {len(X)} forecasts diverge, the "
                 f"first at step {diverged.any(axis=0).argmax() + 1}: they exceed the "
-                f"training data {DIVERGED:g} times. Forecast fewer steps, set "
-                f"relift={not relift}, or fit with method='least_squares', alpha > 0 "
-                "or fewer n_modes.",
+                f"training data {DIVERGED:g} times. Set relift={not relift}, or fit "
+                "with method='least_squares', alpha > 0 or fewer n_modes.",
                 RuntimeWarning,
             )
         return y.reshape(len(X), n_steps, *self._output_shape)
@@ -611,13 +595,8 @@ default=None
                 f"centers must be None, an array or a selector, got {self.centers!r}; "
                 "the operator needs the states themselves, not distances."
             )
-        check_parameters(
-            self,
-            non_negative=("alpha",),
-            method=METHODS,
-            trend=DEGREES,
-            solver=SOLVERS,
-        )
+        choices = {"method": METHODS, "trend": DEGREES, "solver": SOLVERS}
+        check_parameters(self, non_negative=("alpha",), **choices)
         if self.n_modes is not None:
             check_integer(self.n_modes, "n_modes", 0)
 
@@ -650,19 +629,21 @@ default=None
         first, group, counts = distinct_rows(X)
         means = group_means(np.hstack([X_next, targets]), group)[group]
         mean_next, mean_targets = np.split(means, [X_next.shape[1]], axis=1)
-        negligible = 0.0
+        all_targets = targets
         if every_row:
             # Where equal states have different successors, the map is random, and its
             # operator takes the mean.
             rows, targets, nugget = first, mean_targets, self.alpha / counts
-            if self.method == "least_squares":
-                negligible = negligible_tolerance(len(X), self.alpha)
         else:
             _, rows = choose_centers(self.centers, X, targets, among_rows=True)
             assert rows is not None  # since they are among the rows
             nugget = np.full(len(rows), float(self.alpha))
         system = DirectSystem(KernelSections(kernel, X[rows]), nugget, degree, solver)
-        fit = system.interpolate(targets[rows], negligible)
+        if self.method == "interpolation":
+            fit = system.interpolate(targets[rows])
+        else:
+            data = targets[rows], X, all_targets
+            fit = fit_every_row(system, *data, self.alpha, self.n_jobs)
         rows = rows[system.kept]
         lots = group if every_row else np.arange(len(X))
         matrix, coordinates = interpolate_operator(system, X_next, targets, rows, lots)
@@ -673,7 +654,11 @@ default=None
         return _Operator(system, fit, matrix, coordinates, rows, counted)
 
     def _modes_are_cheaper(self, n_samples: int, n_steps: int) -> bool:
-        """Tell whether summing modes is cheaper than powers, and accurate."""
+        """Tell whether summing modes is cheaper than powers, and accurate.
+
+        Modes are evaluated for every row, and then weighted for every output. Powers
+        cost D^2 an output, half as much to expand it, and D for every row.
+        """
         if len(self.eigenvalues_) == 0:
             return False
         D, columns = len(self.koopman_matrix_), n_steps * len(self._limit)

@@ -18,8 +18,8 @@ from sklearn.gaussian_process.kernels import (
     StationaryKernelMixin,
 )
 
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_integer, check_number
+from ._utils._typing import Array
+from ._utils._validation import check_integer, check_number
 
 __all__ = [
     "KERNELS",
@@ -612,6 +612,28 @@ def as_kernel(kernel: Any, beta: float | None, n_features: int | None) -> Kernel
         if isinstance(part, RadialKernel):
             check_beta(part.beta)
     return kernel
+
+
+def is_isotropic(kernel: Kernel) -> bool:
+    """Tell whether a kernel is a function of the distance.
+
+    Parameters
+    ----------
+    kernel : Kernel
+        Any kernel of scikit-learn's kind.
+
+    Returns
+    -------
+    is_isotropic : bool
+        False for kernels that are not stationary or have a scale for each feature.
+    """
+    if not kernel.is_stationary():
+        return False
+    try:
+        kernel(np.zeros((1, 1)), np.zeros((1, 1)))
+    except ValueError:  # one scale for each of several features
+        return False
+    return True
 
 
 def check_beta(beta: Any) -> None:

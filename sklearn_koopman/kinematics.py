@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_koopman._utils._typing import Array
+from ._utils._typing import Array
 
 __all__ = ["leg_angles"]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
@@ -10,53 +10,49 @@ from sklearn.utils import check_X_y
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman._linalg._fit import (
-    estimate_noise,
-    negligible_tolerance,
-)
-from sklearn_koopman._linalg._systems import (
+from ._linalg._systems import (
+    METHODS,
     SOLVERS,
     DirectSystem,
     System,
+    fit_every_row,
     make_system,
     restore_system,
 )
-from sklearn_koopman._matrices._polynomial import DEGREES
-from sklearn_koopman._matrices._sections import (
+from ._matrices._polynomial import DEGREES
+from ._matrices._sections import (
     KernelExpansion,
     KernelSections,
     PrecomputedSections,
     Sections,
 )
-from sklearn_koopman._regression._error_bound import (
+from ._regression._error_bound import (
     check_norms,
     error_bound,
     left_out_reach,
     native_norm,
 )
-from sklearn_koopman._regression._estimate import Estimate, keep_averages
-from sklearn_koopman._regression._partial_fit import (
+from ._regression._estimate import Estimate, keep_averages
+from ._regression._partial_fit import (
     add_centers,
     add_rows,
     check_can_grow,
     start_least_squares,
 )
-from sklearn_koopman._utils._rows import AveragedOutputs, average_equal_rows
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman._utils._validation import (
+from ._utils._rows import AveragedOutputs, average_equal_rows
+from ._utils._typing import Array, Indices
+from ._utils._validation import (
     MAX_MAGNITUDE,
     MIN_MAGNITUDE,
     check_distances,
     check_magnitude,
     check_parameters,
 )
-from sklearn_koopman.centers import choose_centers, rows_at_distance_zero
-from sklearn_koopman.kernels import as_kernel
-from sklearn_koopman.solvers import ConjugateGradient, check_solver
+from .centers import choose_centers, rows_at_distance_zero
+from .kernels import as_kernel, is_isotropic
+from .solvers import ConjugateGradient, check_solver
 
 __all__ = ["KoopmanKernelRegressor"]
-
-METHODS = ("interpolation", "least_squares")
 
 
 class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
@@ -271,7 +267,7 @@ default="auto"
         self.solver = solver
         self.n_jobs = n_jobs
 
-    def fit(self, X: Any, y: Any) -> KoopmanKernelRegressor:
+    def fit(self, X: Any, y: Any) -> Self:
         """Choose the centres and compute the coefficients.
 
         Parameters
@@ -315,12 +311,11 @@ default="auto"
             system = make_system(
                 sections, nugget, degree, self.solver, n_jobs=self.n_jobs
             )
-            fit = system.interpolate(averages.means, self._negligible(len(X)))
-            if self.method == "least_squares" and self.alpha == 0:
-                noise_std = estimate_noise(
-                    fit.expansion, X, outputs, fit.effective_dof, self.n_jobs
-                )
-                fit = fit._replace(noise_std=noise_std)
+            if self.method == "interpolation":
+                fit = system.interpolate(averages.means)
+            else:
+                data = averages.means, X, outputs
+                fit = fit_every_row(system, *data, self.alpha, self.n_jobs)
             if len(system.kept) < len(nugget):
                 averages = keep_averages(averages, fit, system.kept, sections.points)
         else:
@@ -338,7 +333,7 @@ default="auto"
         return self
 
     @available_if(check_can_grow)
-    def partial_fit(self, X: Any, y: Any) -> KoopmanKernelRegressor:
+    def partial_fit(self, X: Any, y: Any) -> Self:
         """Learn from a further batch of rows, as if all had been given to one `fit`.
 
         Interpolation adds the rows that become centres to the Cholesky factor: with
@@ -396,9 +391,8 @@ default="auto"
         self._check_parameters()
         if started and y.shape[1:] != self.dual_coef_.shape[1:]:
             raise ValueError(
-                f"y has shape {y.shape}, but predictions for {len(y)} rows so far "
-                f"have {(len(y), *self.dual_coef_.shape[1:])}; give the same outputs "
-                "in every batch."
+                f"y has shape {y.shape}, but earlier batches had outputs of shape "
+                f"{self.dual_coef_.shape[1:]}; give the same outputs in every batch."
             )
         outputs, growth = y.reshape(len(y), -1), getattr(self, "_growth", None)
         if self._interpolates_centers:
@@ -564,16 +558,15 @@ default="auto"
         check_is_fitted(self)
         if not hasattr(self, "_averages"):
             raise ValueError(
-                "error_bound is that of interpolation; method='least_squares' at "
-                "chosen centres averages over rows that no function of the span meets, "
-                "and has none. Take predict(X, return_std=True), or "
-                "method='interpolation'."
+                "error_bound needs an interpolant, but method='least_squares' at "
+                "chosen centres averages over rows. Take predict(X, return_std=True), "
+                "or method='interpolation'."
             )
         if isinstance(self.solver_, ConjugateGradient):
             raise ValueError(
-                "error_bound takes a dense Cholesky factor, but this model was solved "
-                "by conjugate gradients; multiply power_function(X) by the native norm "
-                "instead, or fit with solver='cholesky'."
+                "error_bound needs a Cholesky factor, which conjugate gradients do not "
+                "make; multiply power_function(X) by the native norm instead, or fit "
+                "with solver='cholesky'."
             )
         X = self._validated(X)
         system = self._direct_system()
@@ -598,10 +591,7 @@ default="auto"
         if "_rcond" not in vars(self):
             system = getattr(self, "_system", None)
             if not isinstance(system, DirectSystem):
-                raise AttributeError(
-                    "rcond_ takes a dense Cholesky factor: fit first, and not with "
-                    "conjugate gradients."
-                )
+                raise AttributeError("rcond_ needs a fit by a Cholesky factor.")
             self._rcond = system.rcond()
         return self._rcond
 
@@ -649,18 +639,12 @@ default="auto"
         else:
             choices["solver"] = SOLVERS
         check_parameters(self, non_negative=("alpha",), **choices)
-        if not self._is_precomputed:
-            return
-        for name, value, asked in (
-            ("solver", "ConjugateGradient()", iterative),
-            ("trend", "'linear'", self.trend == "linear"),
-        ):
-            if asked:
-                raise ValueError(
-                    f"{name}={value} needs the states, but centers='precomputed' gives "
-                    "distances only; pass the states and "
-                    "centers=SeparatedCenterSelector()."
-                )
+        if self._is_precomputed and (iterative or self.trend == "linear"):
+            name = "solver=ConjugateGradient()" if iterative else "trend='linear'"
+            raise ValueError(
+                f"{name} needs the states, but centers='precomputed' gives distances "
+                "only; pass the states and centers=SeparatedCenterSelector()."
+            )
 
     def _resolve_centers(
         self, X: Array, y: Array
@@ -683,7 +667,7 @@ default="auto"
             rows, averages = average_equal_rows(X, averages, exact, np.arange(len(X)))
             return KernelSections(kernel, X[rows]), rows, averages
         if self._is_precomputed:
-            if not _is_isotropic(kernel):
+            if not is_isotropic(kernel):
                 raise ValueError(
                     f"kernel={kernel!r} does not depend on distances alone, which "
                     "centers='precomputed' needs; pass the states and a selector."
@@ -696,11 +680,6 @@ default="auto"
         if not interpolates or rows is None:
             return sections, rows, None
         return sections, rows, AveragedOutputs(outputs[rows], once[rows], none)
-
-    def _negligible(self, n_rows: int) -> float:
-        """Return which part of a section may be left out without a warning."""
-        averages = self.method == "least_squares"
-        return negligible_tolerance(n_rows, self.alpha) if averages else 0.0
 
     def _store(self, estimate: Estimate, shape: tuple[int, ...]) -> None:
         """Store an estimate for outputs of this shape."""
@@ -763,9 +742,8 @@ default="auto"
         M = len(self.dual_coef_)
         if not hasattr(self, "centers_"):
             raise ValueError(
-                "The native norm cannot be estimated with centers='precomputed', from "
-                "distances to the centres alone; give norm, or fit on the states with "
-                "centers=SeparatedCenterSelector()."
+                "The native norm cannot be estimated from centers='precomputed'; give "
+                "norm, or fit on the states with centers=SeparatedCenterSelector()."
             )
         degrees = M - system.trend_rank
         if degrees < 2:
@@ -774,9 +752,8 @@ default="auto"
                 f"trend={self.trend!r}; give norm, or take more centres."
             )
         seminorm = np.ravel(self.signal_std_) * np.sqrt(degrees)
-        norms = native_norm(system, self._averages[0], seminorm)
-        self._norms: Array = norms
-        return norms
+        self._norms: Array = native_norm(system, self._averages[0], seminorm)
+        return self._norms
 
     def _direct_system(self) -> DirectSystem:
         system = self._fitted_system()
@@ -789,10 +766,9 @@ default="auto"
             return self._system
         if not hasattr(self, "centers_"):
             raise ValueError(
-                "With centers='precomputed' the distances between the centres are not "
-                "pickled, so that a loaded model has no power function or standard "
-                "deviation; fit again, or fit on the states with "
-                "centers=SeparatedCenterSelector()."
+                "With centers='precomputed', a loaded model has no power function or "
+                "standard deviation, because the distances between the centres are "
+                "not pickled; fit again, or fit on the states."
             )
         degree = None
         if hasattr(self, "trend_coef_"):
@@ -820,14 +796,3 @@ _STALE = (
     "n_iter_",
     "solver_residual_",
 )
-
-
-def _is_isotropic(kernel: Any) -> bool:
-    """Tell whether the kernel may be evaluated on a line, as a function of distance."""
-    if not kernel.is_stationary():
-        return False
-    try:
-        kernel(np.zeros((1, 1)), np.zeros((1, 1)))
-    except ValueError:  # one scale for each of several features
-        return False
-    return True

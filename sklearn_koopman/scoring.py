@@ -13,10 +13,10 @@ import numpy as np
 from sklearn.utils import check_array, check_consistent_length, gen_batches
 from sklearn.utils.metadata_routing import MetadataRequest
 
-from sklearn_koopman._utils._pipeline import transformed, unwrap
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman._utils._validation import check_flag, check_integer, check_number
-from sklearn_koopman.trajectories import match_successors, successor_rows
+from ._utils._pipeline import transformed, unwrap
+from ._utils._typing import Array, Indices
+from ._utils._validation import check_flag, check_integer, check_number
+from .trajectories import match_successors, successor_rows
 
 __all__ = [
     "ForecastScorer",

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from itertools import product
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from joblib import effective_n_jobs
@@ -20,9 +20,10 @@ from sklearn.utils import check_X_y
 from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_koopman._linalg._systems import SOLVERS
-from sklearn_koopman._matrices._polynomial import DEGREES
-from sklearn_koopman._regression._candidates import (
+from ._linalg._fit import check_trend_determined
+from ._linalg._systems import METHODS, SOLVERS
+from ._matrices._polynomial import DEGREES
+from ._regression._candidates import (
     IdentityRegressor,
     Problem,
     Split,
@@ -30,14 +31,14 @@ from sklearn_koopman._regression._candidates import (
     score_kernel,
     tabulate,
 )
-from sklearn_koopman._utils._parallel import one_thread
-from sklearn_koopman._utils._rows import distinct_rows
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_number, check_parameters
-from sklearn_koopman._utils._warnings import warn
-from sklearn_koopman.centers import choose_centers
-from sklearn_koopman.kernels import as_kernel
-from sklearn_koopman.regression import METHODS, KoopmanKernelRegressor
+from ._utils._parallel import one_thread
+from ._utils._rows import distinct_rows
+from ._utils._typing import Array
+from ._utils._validation import check_number, check_parameters
+from ._utils._warnings import warn
+from .centers import choose_centers
+from .kernels import as_kernel
+from .regression import KoopmanKernelRegressor
 
 __all__ = ["KoopmanKernelRegressorCV"]
 
@@ -141,6 +142,12 @@ default=None
         Scale of the outputs in terms of the kernel, in the unit of the outputs.
     noise_std_ : float or ndarray of shape (n_outputs,)
         Standard deviation of the outputs about the estimate, in their unit.
+    rcond_ : float
+        Estimate of the reciprocal condition number of the matrix that the winner has
+        factored. Not with conjugate gradients.
+    solver_ : str or ConjugateGradient
+        How the winner was solved. `n_iter_` and `solver_residual_` of conjugate
+        gradients are there, too.
     n_features_in_ : int
         Number of features seen during `fit`.
     feature_names_in_ : ndarray of shape (n_features_in_,)
@@ -167,33 +174,35 @@ default=None
     *Least squares.* The basis functions are orthonormal in the native space of the
     kernel. With their values F on all rows and the penalty matrix E, the normal
     matrix is F F^T + E and the hat matrix, which takes outputs to fitted values, is
-    H = F^T (F F^T + E)^-1 F. There are two ways to the predictions of a fold. The
-    normal matrix of the training rows is summed up and factored if the fold leaves
-    out more than M / 2 rows; otherwise the residuals of the rows S that it leaves out
-    are
+    H = F^T (F F^T + E)^-1 F. A fold is predicted from the smaller of two systems. If
+    it leaves out more than M / 4 rows, the normal matrix of the other rows is summed
+    up and factored. Otherwise the residuals of the rows S that it leaves out are
 
     .. math:: y_S - \\hat y_S = (I - H_{SS})^{-1} (y - H y)_S,
 
     Allen's PRESS [3]_, which [2]_ compares with its rotation-invariant form.
 
-    *Refits.* A fold is predicted by a refit of the regressor if the closed form does
-    not apply to it, or is not accurate enough: if equal rows are centres and only some
-    of them are held out, if the other rows do not determine the trend, or if the
-    small system of the fold is so badly conditioned that more than 1e-9 of its
-    residuals would be rounding. With leave-one-out and equal rows that means a refit
-    for each of them.
+    *Refits.* A fold is predicted by a refit of the regressor where the closed form
+    does not apply or is not accurate enough: if some of several equal rows that are
+    one centre are held out, if least squares tests a row that it has learned from, if
+    the training rows do not determine the trend or the coefficients, or if rounding
+    may change more than 1e-9 of the residuals of the fold.
 
     *Centres.* A selector is fitted once to all rows, so the centres depend on the
     states (not the outputs) of the held-out rows. For interpolation, a fold drops the
     centres that it holds out; the scores are therefore slightly lower than those of a
-    `GridSearchCV`, which selects new centres in each fold.
+    `GridSearchCV`, which selects new centres in each fold. If the matrix of the
+    centres is numerically singular, the closed form uses the centres that the
+    regressor keeps on all rows.
 
-    *Costs.* With M centres and n rows, interpolation takes O(M^3) operations for each
-    kernel, scale and alpha, of which the folds take O(M |S|^2) each. Least squares
-    takes O(n M^2) for each kernel and scale, and for each alpha O(M^3) a fold that
-    leaves out more than M / 2 rows, and O(n M^2 + M |S|^2) for all others. Memory is
-    one matrix of n x M (M x M for interpolation where every row is a centre) and a
-    few of M x M; for least squares two more of n x M. Each thread has its own.
+    *Costs.* With M centres and n rows, interpolation takes O(M^3) time for each
+    kernel, scale and alpha, and O(M |S|^2) for each fold. Least squares takes
+    O(n M^2) time for each kernel and scale; each alpha adds O(M^3) for every fold
+    that leaves out more than M / 4 rows, and O(n M^2) for all others together. A
+    refit takes the time of a fit. Memory is one matrix of n x M (M x M for
+    interpolation where every row is a centre) and up to five of M x M, or up to 16 for
+    least squares with large folds that overlap; least squares takes two more of
+    n x M. Each thread has its own.
 
     References
     ----------
@@ -251,7 +260,7 @@ default=None
         self.cv = cv
         self.n_jobs = n_jobs
 
-    def fit(self, X: Any, y: Any, groups: Any = None) -> KoopmanKernelRegressorCV:
+    def fit(self, X: Any, y: Any, groups: Any = None) -> Self:
         """Choose kernel, scale and weight, and fit the estimate to all rows.
 
         Parameters
@@ -306,11 +315,18 @@ default=None
             among_rows = self.method == "interpolation"
             points, _ = choose_centers(centers, X, y, among_rows=among_rows)
         points = points[distinct_rows(points)[0]]
+        if self.method == "least_squares" and centers is not None:
+            check_trend_determined(DEGREES[self.trend], X, points)
         regressor = KoopmanKernelRegressor(
             method=self.method, trend=self.trend, solver=self.solver
         )
         problem = Problem(X, y, points, splits, regressor, centers is None)
-
+        for i, fold in enumerate(problem.folds if problem.interpolates else ()):
+            if len(fold.out) == len(points):
+                raise ValueError(
+                    f"cv={self.cv!r} holds out all centres in fold {i}; choose more "
+                    f"centres than {len(points)}, or smaller folds."
+                )
         share = problem, grid["alpha"], scorer, self.cv is None
         with warnings.catch_warnings():
             # Refits may lose dependent centres; the winner warns if it does.
@@ -349,11 +365,7 @@ default=None
 
     @property
     def rcond_(self) -> float:
-        """Reciprocal condition number of the matrix that the winner has factored.
-
-        It is estimated when it is first asked for. The winner has none if it was
-        solved by conjugate gradients.
-        """
+        """Reciprocal condition number of the matrix that the winner has factored."""
         return float(self.best_estimator_.rcond_)
 
     def predict(self, X: Any, return_std: bool = False) -> Array | tuple[Array, Array]:

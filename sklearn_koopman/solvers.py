@@ -7,11 +7,7 @@ from typing import Any
 from sklearn.base import BaseEstimator
 from sklearn.utils import check_random_state
 
-from sklearn_koopman._utils._validation import (
-    check_choice,
-    check_integer,
-    check_number,
-)
+from ._utils._validation import check_choice, check_integer, check_number
 
 __all__ = ["ConjugateGradient"]
 

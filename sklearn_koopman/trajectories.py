@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from sklearn.model_selection import BaseCrossValidator, GroupKFold
 from sklearn.utils import Bunch, check_array, indexable
 
-from sklearn_koopman._utils._rows import distinct_rows
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman._utils._validation import check_columns, check_integer
+from ._utils._rows import distinct_rows
+from ._utils._typing import Array, Indices
+from ._utils._validation import check_columns, check_integer
 
 __all__ = ["TrajectoryKFold", "successor_rows", "trajectory_pairs"]
 

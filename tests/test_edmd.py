@@ -309,7 +309,8 @@ def test_reduced_model_of_a_nearly_defective_operator():
             centers=X[:30],
             n_modes=n_modes,
         ).fit(X, X_next=X_next)
-        np.testing.assert_allclose(model.predict(X), X_next, atol=1e-6)
+        # Rounding makes the angle between eigenfunctions 1e-8 or more.
+        np.testing.assert_allclose(model.predict(X), X_next, atol=1e-5)
 
 
 # One step ahead

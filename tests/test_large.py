@@ -95,6 +95,8 @@ def assert_agree(X, y, at, solver=None, tol=1e-8, **parameters):
     iterative, dense = both(X, y, solver, **parameters)
     size = np.maximum(np.abs(y).max(axis=0), np.finfo(float).tiny)
     difference = np.abs(iterative.predict(at) - dense.predict(at))
+    if solver is None:  # it is proportional to the residual
+        tol *= iterative.solver_.tol / 1e-12
     assert (difference / size).max() < tol
     assert iterative.solver_residual_ <= iterative.solver_.tol
     P, expected = iterative.power_function(at), dense.power_function(at)
@@ -447,8 +449,11 @@ def test_outputs_that_the_polynomials_tell(value, method):
 def test_small_outputs_beside_a_large_constant():
     y = 1e8 + Y
     model, dense = both(STATES, y, trend="constant", beta=0.5)
+    # Projections of 220 values of 1e8 have errors of as many units in the last place.
     np.testing.assert_allclose(
-        model.predict(ELSEWHERE), dense.predict(ELSEWHERE), rtol=1e-14
+        model.predict(ELSEWHERE),
+        dense.predict(ELSEWHERE),
+        rtol=220 * np.finfo(float).eps,
     )
 
 
@@ -513,7 +518,7 @@ def test_residual_is_the_true_one(tol, trend):
         np.testing.assert_allclose(P.T @ model.dual_coef_, 0, atol=1e-10)
     true = (np.linalg.norm(residual, axis=0) / np.linalg.norm(size, axis=0)).max()
     assert model.solver_residual_ == pytest.approx(true, rel=1e-3)
-    assert 1e-4 * tol < true <= tol
+    assert 1e-4 * tol < true <= tol + attainable(model, STATES, Y)
     assert model.n_iter_ >= 1
 
 

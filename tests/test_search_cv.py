@@ -14,6 +14,7 @@ from sklearn.cluster import KMeans
 from sklearn.exceptions import FitFailedWarning
 from sklearn.gaussian_process.kernels import (
     RBF,
+    ConstantKernel,
     DotProduct,
     ExpSineSquared,
     Matern,
@@ -175,34 +176,45 @@ def test_a_trend_that_a_fold_does_not_determine(method):
     compare(X, y, folds, [0.01], **options)
 
 
-@pytest.mark.parametrize("method", ["interpolation", "least_squares"])
-def test_weights_of_a_fold_alone(method):
-    """Nothing but a tiny weight determines the coefficients that a fold takes away."""
+def test_centres_that_do_not_determine_the_trend_are_refused():
+    """They share their second feature, in which the other rows differ."""
+    rng = np.random.default_rng(2)
+    X = rng.uniform(-1, 1, (40, 2))
+    X[:10, 1] = 0.25
+    y = X @ [1.0, 2.0] + 0.1 * rng.standard_normal(40)
+    model = KoopmanKernelRegressorCV(
+        alphas=[0.1], centers=X[:10], method="least_squares", trend="linear", cv=4
+    )
+    with pytest.raises(ValueError, match="independent centres do not determine"):
+        model.fit(X, y)
+    model.set_params(centers=X[::4]).fit(X, y)
+
+
+@every_pair(
+    centers=[None, slice(None, None, 2)], trend=[None, "constant"], cut=["two", "far"]
+)
+def test_directions_that_one_fold_alone_determines(centers, trend, cut):
+    """Two groups of rows, out of reach of each other."""
     rng = np.random.default_rng(3)
     X = np.vstack([rng.uniform(0, 1, (30, 2)), rng.uniform(9, 10, (30, 2))])
     y = X @ [[1.0], [2.0]] + rng.standard_normal((60, 1))
-    centers = None if method == "interpolation" else X[::2]
-    for trend in (None, "constant"):
-        for alphas in ([0.0], [1e-6, 1e-3]):
-            if centers is not None and alphas == [0.0]:
-                continue
-            compare(
-                *(X, y, splits("two", X, None), alphas),
-                kernel="wendland_c2",
-                beta=1.5,
-                trend=trend,
-                method=method,
-                centers=centers,
-            )
-        folds = [(np.arange(30), np.arange(30, 60)), (np.arange(30, 60), np.arange(30))]
-        compare(
-            *(X, y, folds, [1e-3]),
-            kernel="wendland_c2",
-            beta=1.5,
-            trend=trend,
-            method=method,
-            centers=centers,
-        )
+    one, other = np.arange(30), np.arange(30, 60)
+    folds = [(one, other), (other, one)] if cut == "far" else splits("two", X, None)
+    options = {"kernel": "wendland_c2", "beta": 1.5, "trend": trend}
+    if centers is not None:
+        options |= {"centers": X[centers], "method": "least_squares"}
+    compare(X, y, folds, [1e-6, 1e-3], **options)
+
+
+def test_the_first_of_equal_rows_is_that_of_the_training_rows(samples):
+    X, y, _ = samples
+    X[1] = X[0]
+    every = np.arange(60)
+    folds = [(every[:40], every[40:]), (every[39::-1], every[40:])]
+    options = {"kernel": "matern32", "centers": X[::2]}
+    compare(X, y, folds, [0.1], **options)
+    one, other = np.split(held_out(X, y, folds, [0.1], **options)[0], 2)
+    assert np.abs(one - other).max() > 1e-3
 
 
 @every_pair(
@@ -320,6 +332,44 @@ def test_folds_that_rounding_would_spoil_are_given_back():
     assert found[1] is not None
 
 
+@pytest.mark.parametrize("scale", [1.0, 1e-30])
+def test_a_row_that_alone_determines_a_polynomial(scale):
+    """What is left of its 1 x 1 system is rounding."""
+    rng = np.random.default_rng(0)
+    K = scale * gram(rng.uniform(-2, 2, (20, 2)))
+    P, _ = np.linalg.qr(np.column_stack([np.ones(20), np.arange(20) == 3]))
+    folds = [Fold(np.array([i]), np.array([i])) for i in (3, 4)]
+    u, noise = rng.standard_normal((20, 1)), np.full(20, 0.1 * scale)
+    [found] = leave_out_interpolation(K, noise, P, np.ones(20), u, folds, [0.0])
+    assert found[0] is None
+    assert found[1] is not None
+
+
+def test_predictions_at_centres_do_not_depend_on_other_test_rows():
+    """They come from the small system, also where the coefficients are huge."""
+    X = np.linspace(0, 1, 30)[:, np.newaxis]
+    K, u = gram(X, 0.2)[:, ::2], np.sin(5 * X[::2])
+    K = np.vstack([K[::2], K[1::2]])
+    folds = [Fold(np.arange(3), np.arange(n)) for n in (3, 20)]
+    none = np.empty((30, 0))
+    [found] = leave_out_interpolation(
+        K, np.zeros(15), none, np.ones(15), u, folds, [1e-12]
+    )
+    assert_array_equal(found[1][:3], found[0])
+
+
+def test_interpolants_that_miss_their_values_are_refused():
+    """The matrix is not singular, but the coefficients are too large for doubles."""
+    X = np.linspace(0, 1, 40)[:, np.newaxis]
+    u = np.random.default_rng(0).standard_normal((40, 1))
+    folds, none = [Fold(np.arange(2), np.arange(2))], np.empty((40, 0))
+    [error] = leave_out_interpolation(
+        gram(X), np.zeros(40), none, np.ones(40), u, folds, [1e-13]
+    )
+    assert isinstance(error, np.linalg.LinAlgError)
+    assert "misses its values" in str(error)
+
+
 def test_singular_matrices_are_refused():
     X = np.zeros((3, 1))
     folds = [Fold(np.arange(1), np.arange(1))]
@@ -337,24 +387,32 @@ def test_singular_matrices_are_refused():
     assert np.isfinite(found[0]).all()
 
 
-def test_one_matrix_serves_all_folds(samples):
+class Counted(RBF):
+    """Counts its evaluations."""
+
+    calls = 0
+
+    def __call__(self, X, Y=None, eval_gradient=False):
+        type(self).calls += 1
+        return super().__call__(X, Y, eval_gradient)
+
+
+@pytest.mark.parametrize("method", ["interpolation", "least_squares"])
+@pytest.mark.parametrize("scale", [0.7, 20.0])
+def test_one_matrix_serves_all_folds(samples, method, scale):
+    """Also where dependent centres are left out."""
     X, y, _ = samples
-    calls = []
-
-    class Counted(RBF):
-        def __call__(self, X, Y=None, eval_gradient=False):
-            calls.append(X.shape)
-            return super().__call__(X, Y, eval_gradient)
-
     counts = []
-    for cv in (None, 3):
-        for options in ({}, {"centers": X[::5], "method": "least_squares"}):
-            calls.clear()
-            KoopmanKernelRegressorCV(
-                [Counted(0.7)], None, [0.1, 1.0], cv=cv, **options
-            ).fit(X, y)
-            counts.append(len(calls))
-    assert counts[:2] == counts[2:]
+    for cv in (None, KFold(3, shuffle=True, random_state=0)):
+        model = KoopmanKernelRegressorCV(
+            [Counted(scale)], None, [1e-6, 0.1], centers=X[::2], method=method, cv=cv
+        )
+        Counted.calls = 0
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LinAlgWarning)
+            model.fit(X, y)
+        counts.append(Counted.calls)
+    assert counts[0] == counts[1]
 
 
 # --- The search ----------------------------------------------------------------------
@@ -595,6 +653,16 @@ def test_dependent_centres_are_left_out_of_all_folds(method):
     assert model.best_score_ > 1 - 1e-6
 
 
+def test_a_fold_without_the_independent_centres_has_others():
+    """A constant kernel needs one centre, and any will do."""
+    X = np.linspace(0, 1, 12)[:, np.newaxis]
+    options = {"kernel": ConstantKernel(), "centers": X[::2]}
+    folds = list(KFold(3).split(X))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LinAlgWarning)
+        compare(X, np.ones(12), folds, [0.0], **options)
+
+
 def test_candidates_without_an_estimate_come_last():
     rng = np.random.default_rng(0)
     X = rng.standard_normal((60, 3))
@@ -607,6 +675,18 @@ def test_candidates_without_an_estimate_come_last():
     assert np.isnan(model.cv_results_["split0_test_score"][0])
     with pytest.raises(ValueError, match="None of 1 candidates has a score"):
         KoopmanKernelRegressorCV([ExpSineSquared()], None, [1e-3], cv=3).fit(X, X[:, 0])
+
+
+@pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
+def test_predictions_that_overflow_have_no_score():
+    X = np.append(np.linspace(-1, 1, 30), 1e308)[:, np.newaxis]
+    y = 1e6 * np.append(X[:30, 0], 0.0)
+    with pytest.warns(FitFailedWarning, match="not finite"):
+        model = KoopmanKernelRegressorCV(
+            [DotProduct(), RBF()], None, [1.0], centers=X[:30], cv=3
+        ).fit(X, y)
+    assert np.isnan(model.cv_results_["mean_test_score"][0])
+    assert np.isfinite(model.cv_results_["mean_test_score"][1])
 
 
 def test_strict_solver_lets_singular_candidates_fail():
@@ -674,7 +754,9 @@ def test_bad_input_is_refused(samples, options, message):
 def test_a_fold_without_centres_is_refused(samples):
     X, y, groups = samples
     model = search(centers=X[:5], cv=LeaveOneGroupOut())
-    with pytest.raises(ValueError, match=r"cv holds out all centres in fold 0.*than 5"):
+    with pytest.raises(
+        ValueError, match=r"cv=Leave.* holds out all centres in fold 0.*than 5"
+    ):
         model.fit(X, y, groups)
 
 

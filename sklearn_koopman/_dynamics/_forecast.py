@@ -1,10 +1,8 @@
 """Forecasts of several steps: by eigenvalues, by powers, and by relifting.
 
-Each function fills in an array y of shape (n_samples, n_steps, n_outputs), whose first
-step is known, and leaves NaN where a diverging forecast ends.
+Each function fills an array y of shape (n_samples, n_steps, n_outputs), and leaves NaN
+where a diverging forecast ends. The first two expect the first step there already.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import islice
@@ -12,13 +10,11 @@ from itertools import islice
 import numpy as np
 from sklearn.utils import gen_batches
 
-from sklearn_koopman._dynamics._operator import generate_powers
-from sklearn_koopman._dynamics._spectrum import pack_weights
-from sklearn_koopman._matrices._sections import KernelExpansion
-from sklearn_koopman._utils._typing import Array, Complex
+from .._matrices._sections import KernelExpansion
+from .._utils._typing import Array, Complex
+from ._operator import ENTRIES_PER_BLOCK, generate_powers
+from ._spectrum import pack_weights
 
-# Entries of the arrays that are held at once.
-ENTRIES_PER_BLOCK = 2**22
 # States this many times larger than all centres are not followed any further.
 MAX_GROWTH = 1e50
 
@@ -29,6 +25,7 @@ def sum_modes(
     eigenfunctions: KernelExpansion,
     eigenvalues: Complex,
     weights: Complex,
+    n_jobs: int | None = None,
     block_entries: int = ENTRIES_PER_BLOCK,
 ) -> None:
     """Forecast by the eigenvalues of packed eigenfunctions.
@@ -37,7 +34,7 @@ def sum_modes(
     """
     lam = eigenvalues[:, np.newaxis]
     for rows in gen_batches(len(X), max(block_entries // len(lam), 1)):
-        phi = eigenfunctions(X[rows])
+        phi = eigenfunctions(X[rows], n_jobs)
         for steps in _later_steps(y[rows], len(lam), block_entries):
             powers = lam ** np.arange(steps.start, steps.stop)
             outputs = powers[:, :, np.newaxis] * weights[:, np.newaxis]
@@ -51,6 +48,7 @@ def apply_powers(
     matrix: Array,
     coordinates: Array,
     expand: Callable[[Array], KernelExpansion],
+    n_jobs: int | None = None,
     block_entries: int = ENTRIES_PER_BLOCK,
 ) -> None:
     """Forecast by powers of the operator, from the coordinates of the outputs.
@@ -62,12 +60,14 @@ def apply_powers(
         found = list(islice(images, steps.stop - steps.start))
         if not found:
             return
-        values = expand(np.hstack(found))(X)
+        values = expand(np.hstack(found))(X, n_jobs)
         reached = slice(steps.start, steps.start + len(found))
         y[:, reached] = values.reshape(len(X), -1, y.shape[2])
 
 
-def relift_states(X: Array, y: Array, targets: KernelExpansion) -> None:
+def relift_states(
+    X: Array, y: Array, targets: KernelExpansion, n_jobs: int | None = None
+) -> None:
     """Forecast by the learned map of states, whose columns follow those of outputs."""
     n_features, n_outputs = X.shape[1], y.shape[2]
     limit = MAX_GROWTH * (np.abs(targets.sections.points).max() or 1.0)
@@ -78,7 +78,7 @@ def relift_states(X: Array, y: Array, targets: KernelExpansion) -> None:
             alive, X = alive[near], X[near]
         if len(alive) == 0:
             return
-        values = targets(X)
+        values = targets(X, n_jobs)
         y[alive, step] = values[:, :n_outputs]
         X = values[:, -n_features:]
 

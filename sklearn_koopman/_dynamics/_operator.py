@@ -6,24 +6,22 @@ the operator itself, while the matrix K^-1 K+ that acts on coefficients of the k
 sections inherits the condition number of K.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np
 from scipy.linalg.blas import dgemm
 from sklearn.utils import gen_batches
 
-from sklearn_koopman._linalg._fit import (
+from .._linalg._fit import (
     Fit,
     check_rows_suffice,
     check_trend_determined,
     estimate_noise,
     negligible_tolerance,
 )
-from sklearn_koopman._linalg._least_squares import least_squares
-from sklearn_koopman._linalg._systems import DirectSystem
-from sklearn_koopman._utils._typing import Array, Complex, Indices
+from .._linalg._least_squares import least_squares
+from .._linalg._systems import DirectSystem
+from .._utils._typing import Array, Complex, Indices
 
 # Coordinates beyond this belong to a diverging forecast, and soon overflow.
 MAX_COORDINATE = 1e100
@@ -100,7 +98,7 @@ def fit_operator(
     check_rows_suffice(len(X), system.offered.size, alpha)
 
     def attempt() -> tuple[Array, Array, Fit]:
-        check_trend_determined(system.trend, len(system.kept))
+        check_trend_determined(system.degree, X, system.sections.points)
         M = len(system.kept)
 
         def images(rows: slice) -> Array:

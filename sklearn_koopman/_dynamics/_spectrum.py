@@ -5,27 +5,18 @@ one for a real eigenvalue, and the real and the imaginary part of the first of a
 conjugate pair, side by side.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import lstsq, qr
-from scipy.linalg.lapack import (
-    dgecon,
-    dgeev,
-    dgeev_lwork,
-    dgetrf,
-    dgetrs,
-)
+from scipy.linalg.lapack import dgecon, dgeev, dgeev_lwork, dgetrf, dgetrs
 from sklearn.utils import gen_batches
 
-from sklearn_koopman._linalg._systems import DirectSystem
-from sklearn_koopman._matrices._sections import KernelExpansion
-from sklearn_koopman._utils._typing import Array, Complex, Mask
+from .._linalg._systems import DirectSystem
+from .._matrices._sections import KernelExpansion
+from .._utils._typing import Array, Complex, Mask
+from ._operator import ENTRIES_PER_BLOCK
 
-# Entries of the arrays that are held at once.
-ENTRIES_PER_BLOCK = 2**22
 # An eigenfunction of mean square one that is smaller at a row counts as zero there.
 MIN_EIGENFUNCTION = 1e-8
 
@@ -91,6 +82,11 @@ def decompose(
     `counted`, those where no interpolation condition makes them vanish, or by leaving
     out one centre at a time if these are fewer than the centres.
     """
+    if n_modes == 0:
+        none = np.empty((len(matrix), 0))
+        weights = np.empty((0, targets.shape[1]), dtype=np.complex128)
+        functions = system.expand(none)
+        return SpectralDecomposition(weights[:, 0], functions, none[0], weights, 0.0)
     lam, vectors = eigenvectors(matrix)
     weights, rcond = expand_in_eigenvectors(vectors, lam, targets)
     functions = system.expand(vectors)

@@ -1,16 +1,14 @@
 """Successors of states: the pairs from which an operator is estimated."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 from sklearn.utils import check_array
 
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman._utils._validation import check_columns, check_magnitude
-from sklearn_koopman._utils._warnings import warn
-from sklearn_koopman.trajectories import successor_rows
+from .._utils._typing import Array, Indices
+from .._utils._validation import check_columns, check_magnitude
+from .._utils._warnings import warn
+from ..trajectories import successor_rows
 
 
 def check_successors(X: Any, X_next: Any) -> Array:

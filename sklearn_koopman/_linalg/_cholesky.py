@@ -1,15 +1,13 @@
 """Cholesky factorisations of Gram matrices, and what their factors say."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 
 import numpy as np
 from scipy.linalg import lapack
 
-from sklearn_koopman._matrices._sections import Sections, gram_matrix
-from sklearn_koopman._utils._parallel import one_thread
-from sklearn_koopman._utils._typing import Array, Indices
+from .._matrices._sections import Sections, gram_matrix
+from .._utils._parallel import one_thread
+from .._utils._typing import Array, Indices
 
 # A factorisation that succeeds below this reciprocal condition number succeeds by
 # chance, and the last rows of its factor mean nothing.

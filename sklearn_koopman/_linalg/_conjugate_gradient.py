@@ -5,14 +5,12 @@ orthogonal complement of a few columns P where there are any: that is how a poly
 tail is solved for together with the kernel part.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_koopman._utils._typing import Array
+from .._utils._typing import Array
 
 Product = Callable[[Array], Array]
 

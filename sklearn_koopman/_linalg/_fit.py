@@ -1,17 +1,15 @@
 """What a system returns, and what it says where there is no estimate."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgWarning
 from sklearn.utils import gen_batches
 
-from sklearn_koopman._matrices._polynomial import PolynomialTrend
-from sklearn_koopman._matrices._sections import KernelExpansion
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._warnings import warn
+from .._matrices._polynomial import is_undetermined
+from .._matrices._sections import KernelExpansion
+from .._utils._typing import Array
+from .._utils._warnings import warn
 
 REMEDY = (
     "Choose centres with a larger separation, lower beta, raise alpha, or take a less "
@@ -83,13 +81,18 @@ def check_rows_suffice(n_rows: int, n_centers: int, alpha: float) -> None:
         )
 
 
-def check_trend_determined(trend: PolynomialTrend | None, n_centers: int) -> None:
-    """Refuse least squares with a trend that the centres do not determine."""
-    if trend is not None and not trend.is_determined:
+def check_trend_determined(degree: int | None, X: Array, centers: Array) -> None:
+    """Refuse least squares with a linear trend that rows determine, but centres do not.
+
+    It would have to vanish there.
+    """
+    if degree == 1 and any(
+        is_undetermined(X[rows], centers).any() for rows in gen_batches(len(X), 2**13)
+    ):
         raise ValueError(
-            f"trend='linear' with method='least_squares': the {n_centers} independent "
-            "centres do not determine a linear function of the features of X. Choose "
-            "more centres than features, not all in one plane, or take "
+            f"trend='linear' with method='least_squares': the {len(centers)} "
+            "independent centres do not determine a linear function of the features of "
+            "X. Choose more centres than features, not all in one plane, or take "
             "trend='constant'."
         )
 

@@ -1,26 +1,25 @@
 """Systems that grow with their data: block updates of the Cholesky factor."""
 
-from __future__ import annotations
-
 from copy import copy
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.linalg.blas import dgemm
 
-from sklearn_koopman._linalg._cholesky import MIN_RCOND, RCOND_TO_VERIFY, pivot_rcond
-from sklearn_koopman._linalg._fit import (
+from .._matrices._polynomial import PolynomialTrend
+from .._matrices._sections import KernelSections, gram_matrix, matrix
+from .._utils._typing import Array
+from ._cholesky import MIN_RCOND, RCOND_TO_VERIFY, pivot_rcond
+from ._fit import (
     Fit,
     check_trend_determined,
     relative_error,
     scale_residuals,
 )
-from sklearn_koopman._linalg._least_squares import NormalEquations
-from sklearn_koopman._linalg._systems import DirectSystem
-from sklearn_koopman._matrices._polynomial import PolynomialTrend
-from sklearn_koopman._matrices._sections import KernelSections, gram_matrix, matrix
-from sklearn_koopman._utils._typing import Array
+from ._least_squares import NormalEquations
+from ._systems import DirectSystem
 
 # Blocks of a factor are joined if there are more, or if the added rows are more than
 # this part of the first ones.
@@ -67,9 +66,7 @@ class GrowingSystem(DirectSystem):
             self.blocks = [L]
         return self.blocks[0]
 
-    def extended(
-        self, sections: KernelSections, nugget: Array, u: Array
-    ) -> GrowingSystem:
+    def extended(self, sections: KernelSections, nugget: Array, u: Array) -> Self:
         """Return the system with added centres, the last ones of the sections.
 
         `nugget` and `u` are those of all centres; the nugget of the earlier ones must
@@ -200,15 +197,16 @@ class GrowingLeastSquares:
     n_rows: int
 
     @classmethod
-    def over(cls, system: DirectSystem, X: Array, y: Array) -> GrowingLeastSquares:
+    def over(cls, system: DirectSystem, X: Array, y: Array) -> Self:
         """Start with the first rows."""
-        check_trend_determined(system.trend, len(system.kept))
         equations = NormalEquations.empty(system, system.lower, y.shape[1])
+        check_trend_determined(system.degree, X, system.sections.points)
         equations.add(system, X, y.__getitem__)
         return cls(system, equations, len(X))
 
     def add(self, X: Array, y: Array, alpha: float) -> Fit:
         """Add rows and return `fit`; if there is none, the rows do not count."""
+        check_trend_determined(self.system.degree, X, self.system.sections.points)
         n_rows, before = self.n_rows, self.equations.copy()
         try:
             self.equations.add(self.system, X, y.__getitem__)

@@ -4,8 +4,6 @@ A system with the Gram matrix is solved by conjugate gradients in the complement
 polynomials of the trend. Their coefficients follow from what remains of the values.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
@@ -14,32 +12,9 @@ from scipy.sparse import csr_array
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_random_state, gen_batches
 
-from sklearn_koopman._linalg._cholesky import cholesky
-from sklearn_koopman._linalg._conjugate_gradient import (
-    CGResult,
-    Product,
-    beyond_rounding,
-    complement,
-    conjugate_gradients,
-)
-from sklearn_koopman._linalg._fit import (
-    REMEDY,
-    Fit,
-    check_rows_suffice,
-    check_trend_determined,
-    estimate_noise,
-    no_estimate,
-)
-from sklearn_koopman._linalg._preconditioners import (
-    banded_solver,
-    bandwidth,
-    low_rank_inverse,
-    neighbor_preconditioner,
-    pivoted_factor,
-)
-from sklearn_koopman._matrices import _sparse
-from sklearn_koopman._matrices._polynomial import PolynomialTrend
-from sklearn_koopman._matrices._sections import (
+from .._matrices import _sparse
+from .._matrices._polynomial import PolynomialTrend
+from .._matrices._sections import (
     KernelExpansion,
     KernelSections,
     gram_matrix,
@@ -49,10 +24,34 @@ from sklearn_koopman._matrices._sections import (
     sparse_matrix,
     sparse_tree,
 )
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman._utils._warnings import warn
-from sklearn_koopman.solvers import ConjugateGradient
+from .._utils._typing import Array, Indices
+from .._utils._warnings import warn
+from ..solvers import ConjugateGradient
+from ._cholesky import cholesky
+from ._conjugate_gradient import (
+    CGResult,
+    Product,
+    beyond_rounding,
+    complement,
+    conjugate_gradients,
+)
+from ._fit import (
+    REMEDY,
+    Fit,
+    check_rows_suffice,
+    check_trend_determined,
+    estimate_noise,
+    no_estimate,
+)
+from ._preconditioners import (
+    banded_solver,
+    bandwidth,
+    low_rank_inverse,
+    neighbor_preconditioner,
+    pivoted_factor,
+)
 
+MORE_ITERATIONS = "Raise max_iter, rank, n_neighbors or tol of the solver."
 # Up to this density, a matrix that is multiplied with many times is held as a sparse
 # one.
 MAX_DENSITY_TO_HOLD = 0.1
@@ -91,7 +90,7 @@ class IterativeSystem:
         centers = sections.centers
         self.sections = sections
         self.kept: Indices = np.arange(len(centers))
-        self.nugget = nugget
+        self.nugget, self.degree = nugget, degree
         self.solver = solver
         diagonal = sections.diagonal(centers) + nugget
         self.excess: Array = diagonal - sections.smooth_diagonal(centers)
@@ -178,7 +177,7 @@ class IterativeSystem:
         sections = self.sections
         M, n, n_outputs = sections.size, len(X), y.shape[1]
         check_rows_suffice(n, M, alpha)
-        check_trend_determined(self.trend, M)
+        check_trend_determined(self.degree, X, sections.centers)
         T, axes = np.empty((n, 0)), np.empty((0, 0))
         if self.trend is not None:
             U, lengths, V = np.linalg.svd(self.trend.values(X), full_matrices=False)
@@ -254,8 +253,7 @@ class IterativeSystem:
             warn(
                 "The power function is too large, by the square of a relative residual "
                 f"of up to {residual:.1e}, above tol={tol:.1e}: conjugate gradients "
-                "did not converge for all states. Raise max_iter, rank, n_neighbors "
-                "or tol of the solver.",
+                f"did not converge. {MORE_ITERATIONS}",
                 ConvergenceWarning,
             )
         return np.sqrt(np.concatenate(parts))
@@ -316,11 +314,9 @@ class IterativeSystem:
             reason = f"conjugate gradients diverge (relative residual {residual:.1e})"
             raise no_estimate(kernel, M, reason)
         if residual > solver.tol + found.rounding:
-            advice = (
-                "Raise max_iter, rank, n_neighbors or tol of the solver."
-                if found.n_iter >= solver.max_iter
-                else "More of them did not help, as rounding allows no less: raise tol."
-            )
+            advice = "Rounding allows no less: raise tol."
+            if found.n_iter >= solver.max_iter:
+                advice = MORE_ITERATIONS
             warn(
                 f"Conjugate gradients for kernel={kernel!r} on {M} centres ended after "
                 f"{found.n_iter} iterations with a relative residual of "

@@ -9,13 +9,11 @@ rows, they are
 of which z is eliminated. Their sums over rows can be extended and added up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from joblib import effective_n_jobs
@@ -24,14 +22,9 @@ from scipy.linalg.lapack import dpotri, dpotrs
 from sklearn.utils import gen_batches
 from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_koopman._linalg._cholesky import (
-    RCOND_TO_VERIFY,
-    cholesky,
-    exact_rcond,
-    rows_per_block,
-)
-from sklearn_koopman._matrices._sections import Sections
-from sklearn_koopman._utils._typing import Array
+from .._matrices._sections import Sections
+from .._utils._typing import Array
+from ._cholesky import RCOND_TO_VERIFY, cholesky, exact_rcond, rows_per_block
 
 # The outputs of a slice of the rows, so that many need not be held at once.
 Outputs = Callable[[slice], Array]
@@ -42,7 +35,7 @@ Outputs = Callable[[slice], Array]
 # Operations from which on it is worth while to start workers: below, BLAS has threads.
 PARALLEL_OPERATIONS = 1e11
 # Normal matrices with a smaller reciprocal condition number count as singular.
-MIN_RCOND = 1e-13
+MIN_NORMAL_RCOND = 1e-13
 # Polynomials of length one, of which less than this part of the squared length is left
 # beside the kernel part, are not determined by the rows.
 MIN_SQUARED_LENGTH = 1e-14
@@ -78,9 +71,7 @@ class NormalEquations:
     diagonal: float  # sum of k(x, x)
 
     @classmethod
-    def empty(
-        cls, basis: OrthonormalBasis, upper: Array, n_outputs: int
-    ) -> NormalEquations:
+    def empty(cls, basis: OrthonormalBasis, upper: Array, n_outputs: int) -> Self:
         """Return the sums over no rows."""
         M, q = basis.Q.shape
         for column in range(1, M):
@@ -89,7 +80,7 @@ class NormalEquations:
         AT, TT = np.zeros((M, q)), np.zeros((q, q))
         return cls(upper, np.zeros(M), Ay, AT, Ty, TT, np.zeros(n_outputs), 0.0)
 
-    def copy(self) -> NormalEquations:
+    def copy(self) -> Self:
         """Return a copy that shares nothing."""
         return deepcopy(self)
 
@@ -108,7 +99,7 @@ class NormalEquations:
             self.yy += np.einsum("ij,ij->j", values, values)
             self.diagonal += float(basis.sections.diagonal(X[rows]).sum())
 
-    def merge(self, other: NormalEquations) -> None:
+    def merge(self, other: Self) -> None:
         """Add the sums over other rows."""
         for column in range(1, len(self.upper)):
             self.upper[:column, column] += other.upper[:column, column]
@@ -149,7 +140,7 @@ class NormalEquations:
         if q:
             dsyrk(along_Q, Q, 1.0, N, overwrite_c=1)
         N[np.diag_indices(M)] += alpha
-        if not _factor(N, min(MIN_RCOND, 1e-6 * basis.rcond_bound)):
+        if not _factor(N, min(MIN_NORMAL_RCOND, 1e-6 * basis.rcond_bound)):
             if basis.rcond_bound < RCOND_TO_VERIFY:
                 raise np.linalg.LinAlgError(
                     "the normal matrix is not positive definite"

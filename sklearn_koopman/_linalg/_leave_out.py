@@ -18,8 +18,6 @@ other rows, of size M, or that of the residuals r = y - H y, of the size of S:
     y[S] - prediction[S] = (I - H[S, S])^-1 r[S].
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -31,7 +29,8 @@ from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dgemm, dsyrk
 from scipy.linalg.lapack import dpocon, dposv, dpotrs, dtrtri
 
-from sklearn_koopman._linalg._cholesky import (
+from .._utils._typing import Array, Indices
+from ._cholesky import (
     MIN_RCOND,
     PIVOT_OPTIMISM,
     RCOND_TO_VERIFY,
@@ -39,7 +38,6 @@ from sklearn_koopman._linalg._cholesky import (
     exact_rcond,
     pivot_rcond,
 )
-from sklearn_koopman._utils._typing import Array, Indices
 
 EPSILON = float(np.finfo(np.float64).eps)
 # Largest error of the interpolant at the centres, relative to the outputs.
@@ -190,7 +188,7 @@ def leave_out_least_squares(
     y : ndarray of shape (n_samples, n_outputs)
         Outputs.
     folds : sequence of Fold
-        `out` are rows of the data.
+        `out` are rows of the data, and have to hold the test rows.
     alphas : sequence of float
         Weights.
     is_verified : bool
@@ -221,13 +219,12 @@ def leave_out_least_squares(
     penalty = np.eye(M) - Q @ Q.T
 
     predictions: list[Predictions] = [[None] * len(folds) for _ in alphas]
-    usable = [i for i, fold in enumerate(folds) if not fold.needs_refit]
+    usable = [i for i, fold in enumerate(folds) if (fold.places >= 0).all()]
     large = [i for i in usable if 4 * len(folds[i].out) > M]
     small = [i for i in usable if 4 * len(folds[i].out) <= M]
-    features = np.vstack([F, y.T])
     for start in range(0, len(large), FOLDS_AT_ONCE):
         chosen = large[start : start + FOLDS_AT_ONCE]
-        sums = _sum_other_rows(features, [folds[i].out for i in chosen])
+        sums = _sum_other_rows(F, y, [folds[i].out for i in chosen])
         for i, N in zip(chosen, sums, strict=True):
             for own, alpha in zip(predictions, alphas, strict=True):
                 with suppress(np.linalg.LinAlgError):
@@ -254,13 +251,14 @@ def leave_out_least_squares(
     return predictions
 
 
-def _sum_other_rows(features: Array, outs: Sequence[Indices]) -> Iterator[Array]:
-    """Yield the lower triangle of the products of features without some rows.
+def _sum_other_rows(F: Array, y: Array, outs: Sequence[Indices]) -> Iterator[Array]:
+    """Yield the lower triangle of [F; y^T] [F; y^T]^T without some rows of the data.
 
     Rows that the same folds use are summed up together. Nothing is subtracted, which
     would cancel digits where a fold holds most of a function.
     """
-    is_used = np.ones((len(outs), features.shape[1]), dtype=bool)
+    features = np.asfortranarray(np.vstack([F, y.T]))
+    is_used = np.ones((len(outs), len(y)), dtype=bool)
     for row, out in zip(is_used, outs, strict=True):
         row[out] = False
     patterns, kind = np.unique(is_used, axis=1, return_inverse=True)
@@ -300,6 +298,8 @@ def _solve(A: Array, rhs: Array, size: Array, min_rcond: float) -> Array:
     LinAlgError
         If its reciprocal condition number is too small.
     """
+    if len(A) == 1 and A[0, 0] > min_rcond * size[0]:
+        return rhs / A  # many folds are single rows, for which LAPACK takes long
     unit = 1 / np.sqrt(size)
     A *= unit[:, np.newaxis] * unit
     magnitude = np.abs(A)

@@ -1,7 +1,5 @@
 """Preconditioners of Gram matrices: banded, by neighbours, and of low rank."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -17,9 +15,9 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.spatial import KDTree
 from sklearn.gaussian_process.kernels import Kernel
 
-from sklearn_koopman._linalg._conjugate_gradient import Product
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman.kernels import RadialKernel
+from .._utils._typing import Array, Indices
+from ..kernels import RadialKernel
+from ._conjugate_gradient import Product
 
 # Entries of the small matrices that are factored at once.
 ENTRIES_PER_BATCH = 2**21

@@ -1,10 +1,14 @@
-"""Systems with the Gram matrix of the centres, and which of them a solver means.
+"""Systems of equations with the Gram matrix of the centres, direct or iterative.
 
 A system is made once for its centres, and then finds interpolants, least-squares fits
 and the power function. :class:`DirectSystem` has a Cholesky factor, and
 :class:`~sklearn_koopman._linalg._iterative.IterativeSystem` only products with the
 matrix. :class:`~sklearn_koopman._linalg._incremental.GrowingSystem` is a direct one
 that takes further centres.
+
+Errors follow one rule. A `LinAlgError` means that there are too few digits: a direct
+system then tries again with fewer centres, or a growing one is factored anew. Any other
+`ValueError` is for the user.
 
 A direct system works in an orthonormal basis of the native space. With the Gram matrix
 K = L L^T, the vector a(x) = L^-1 k(Xi, x) holds the values of that basis at x. The
@@ -13,8 +17,6 @@ sections. So interpolation is w = L^-1 u, and least squares is an ordinary ridge
 regression on a(x), whose matrix has the square root of the condition number that the
 kernel sections themselves would give it.
 """
-
-from __future__ import annotations
 
 import os
 from collections.abc import Callable
@@ -26,13 +28,20 @@ from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dpocon, dtrtri
 from sklearn.base import clone
 
-from sklearn_koopman._linalg._cholesky import (
-    RCOND_TO_VERIFY,
-    factorize,
-    independent_centers,
-    rows_per_block,
+from .._matrices._polynomial import PolynomialTrend
+from .._matrices._sections import (
+    KernelExpansion,
+    KernelSections,
+    Sections,
+    gram_matrix,
+    matrix,
+    sparse_tree,
 )
-from sklearn_koopman._linalg._fit import (
+from .._utils._parallel import by_rows
+from .._utils._typing import Array, Indices
+from ..solvers import ConjugateGradient
+from ._cholesky import RCOND_TO_VERIFY, factorize, independent_centers, rows_per_block
+from ._fit import (
     REMEDY,
     Fit,
     check_rows_suffice,
@@ -43,23 +52,12 @@ from sklearn_koopman._linalg._fit import (
     relative_error,
     warn_dropped,
 )
-from sklearn_koopman._linalg._iterative import IterativeSystem
-from sklearn_koopman._linalg._least_squares import least_squares
-from sklearn_koopman._matrices._polynomial import PolynomialTrend
-from sklearn_koopman._matrices._sections import (
-    KernelExpansion,
-    KernelSections,
-    Sections,
-    gram_matrix,
-    matrix,
-    sparse_tree,
-)
-from sklearn_koopman._utils._parallel import by_rows
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman.solvers import ConjugateGradient
+from ._iterative import IterativeSystem
+from ._least_squares import least_squares
 
 T = TypeVar("T")
 
+METHODS = ("interpolation", "least_squares")
 SOLVERS = ("auto", "pivoted_cholesky", "cholesky")
 # Largest error, relative to the values to be met, that passes the verification. Large
 # coefficients of alternating sign cost smooth kernels this much without harm, while
@@ -111,7 +109,7 @@ def make_system(
     extent: Array | None = None,
     n_jobs: int | None = None,
 ) -> System:
-    """Make the system that a solver means.
+    """Make a direct or an iterative system, as the parameter `solver` asks.
 
     Parameters
     ----------
@@ -148,12 +146,27 @@ def make_system(
     return DirectSystem(sections, nugget, degree, solver, extent)
 
 
+def fit_every_row(
+    system: System, u: Array, X: Array, y: Array, alpha: float, n_jobs: int | None
+) -> Fit:
+    """Return the least-squares fit of all rows if every row is a centre.
+
+    By the representer theorem its coefficients are (K + alpha I)^-1 u: it is the
+    interpolant of the outputs u, means of equal rows, with alpha on the diagonal.
+    """
+    fit = system.interpolate(u, negligible_tolerance(len(X), alpha))
+    if alpha > 0:
+        return fit
+    noise_std = estimate_noise(fit.expansion, X, y, fit.effective_dof, n_jobs)
+    return fit._replace(noise_std=noise_std)
+
+
 def restore_system(
     sections: Sections,
     nugget: Array,
     degree: int | None,
     solver: str = "pivoted_cholesky",
-) -> DirectSystem:
+) -> "DirectSystem":
     """Make the system of a fitted estimator anew, which a pickle does not hold."""
     try:
         # Centres that were dropped are not among these, and no other may be now.
@@ -267,7 +280,7 @@ class DirectSystem:
         check_rows_suffice(len(X), self.offered.size, alpha)
 
         def attempt() -> Fit:
-            check_trend_determined(self.trend, len(self.kept))
+            check_trend_determined(self.degree, X, self.sections.points)
             solution = least_squares(self, X, y.__getitem__, y.shape[1], alpha, n_jobs)
             return self.fit_at(X, *solution)
 
@@ -376,6 +389,7 @@ class DirectSystem:
         self.sections = self.offered if every else self.offered.take(self.kept)
         self.nugget = self.offered_nugget[self.kept]
         K, self.excess, self.norm = gram_matrix(self.sections, self.nugget)
+        # Least squares adds up its normal matrix in the upper triangle, which is free.
         self.lower, self.rcond_bound = factorize(K, self.norm)
         self.trend, P = None, np.empty((len(self.kept), 0))
         if self.degree is not None:
@@ -422,6 +436,7 @@ class DirectSystem:
         return a, np.asarray(np.linalg.solve(self.R.T, p.T), dtype=np.float64)
 
     def _squared_power(self, X: Array) -> Array:
+        # k(x, x) - |a|^2 + |t - Q^T a|^2
         a, t = self._values(X)
         variance = self.sections.diagonal(X) - np.einsum("ij,ij->j", a, a)
         if self.trend_rank:

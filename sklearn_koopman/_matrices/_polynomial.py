@@ -1,12 +1,10 @@
 """Polynomial trends: constants and linear functions beside the kernel sections."""
 
-from __future__ import annotations
-
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from sklearn_koopman._utils._typing import Array, Mask
+from .._utils._typing import Array, Mask
 
 DEGREES: dict[str | None, int | None] = {None: None, "constant": 0, "linear": 1}
 
@@ -27,12 +25,9 @@ class PolynomialTrend(NamedTuple):
 
     origin: Array
     coefficients: Array  # (n_terms, q)
-    is_determined: bool  # False if other polynomials vanish on the centres only
 
     @classmethod
-    def at(
-        cls, centers: Array, degree: int, extent: Array | None = None
-    ) -> PolynomialTrend:
+    def at(cls, centers: Array, degree: int, extent: Array | None = None) -> Self:
         """Return the polynomials that the centres determine.
 
         Features without an extent, from their smallest to their largest value, are
@@ -41,7 +36,7 @@ class PolynomialTrend(NamedTuple):
         n_centers, n_features = centers.shape
         if degree == 0:
             constant = np.full((1, 1), 1 / np.sqrt(n_centers))
-            return cls(np.zeros(n_features), constant, True)
+            return cls(np.zeros(n_features), constant)
         origin = centers.mean(axis=0)
         scale = np.abs((centers if extent is None else extent) - origin).max(axis=0)
         varies = scale > CONSTANT * np.abs(origin)
@@ -51,7 +46,7 @@ class PolynomialTrend(NamedTuple):
         rank = int((singular > DEPENDENT * singular[0]).sum())
         inverse = np.append(1.0, inverse)
         coefficients = directions[:rank].T * inverse[:, np.newaxis] / singular[:rank]
-        return cls(origin, coefficients, rank == 1 + int(varies.sum()))
+        return cls(origin, coefficients)
 
     def values(self, X: Array) -> Array:
         """Evaluate the polynomials; of shape (n_rows, q)."""

@@ -6,10 +6,8 @@ same arrays throughout: the operating system would otherwise map new ones for ev
 tile, which takes longer than the kernel.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from joblib import effective_n_jobs
@@ -19,16 +17,11 @@ from scipy.spatial.distance import cdist
 from sklearn.utils import gen_batches
 from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_koopman._matrices import _sparse
-from sklearn_koopman._matrices._polynomial import polynomial
-from sklearn_koopman._utils._parallel import by_rows, one_thread
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman.kernels import (
-    MAX_SCALED_COORDINATE,
-    RadialKernel,
-    radial_values,
-    scale_states,
-)
+from .._utils._parallel import by_rows, one_thread
+from .._utils._typing import Array, Indices
+from ..kernels import MAX_SCALED_COORDINATE, RadialKernel, radial_values, scale_states
+from . import _sparse
+from ._polynomial import polynomial
 
 # Writes k(X[rows], Xi[columns]) to an array of that shape.
 Tiles = Callable[[slice, slice, Array], None]
@@ -44,11 +37,12 @@ SPARSE_ROWS = 2**14
 ENTRIES_TO_LIMIT_THREADS = 2**19
 # With more features, matrix products give the distances faster than differences do.
 MAX_FEATURES_FOR_DIFFERENCES = 4
-# Products lose the digits of distances far below the size of the states, in units of
-# the scale: smaller ones than this part of it are computed anew ...
+# Products lose the digits of small distances. Squared distances below this part of the
+# squared size of the states are computed anew.
 NEAR = 1e-6
-# ... and all of them where the squared size is larger than this.
-MAX_SQUARED_SIZE_FOR_PRODUCTS = 1e3
+# Products are not used for states with larger coordinates, or with larger squared
+# distances from their mean, in units of beta.
+MAX_SIZE_FOR_PRODUCTS = 1e3
 
 
 class Sections(Protocol):
@@ -66,7 +60,7 @@ class Sections(Protocol):
     def points(self) -> Array:
         """The centres, as rows at which the sections can be evaluated."""
 
-    def take(self, kept: Indices) -> Sections:
+    def take(self, kept: Indices) -> Self:
         """Return the sections of some of the centres."""
 
     def diagonal(self, X: Array) -> Array:
@@ -96,8 +90,8 @@ class KernelSections(NamedTuple):
     def points(self) -> Array:
         return self.centers
 
-    def take(self, kept: Indices) -> KernelSections:
-        return KernelSections(self.kernel, self.centers[kept])
+    def take(self, kept: Indices) -> Self:
+        return type(self)(self.kernel, self.centers[kept])
 
     def diagonal(self, X: Array) -> Array:
         return self.kernel.diag(X)
@@ -137,8 +131,8 @@ class PrecomputedSections(NamedTuple):
     def size(self) -> int:
         return len(self.columns)
 
-    def take(self, kept: Indices) -> PrecomputedSections:
-        return PrecomputedSections(self.kernel, self.columns[kept], self.points[kept])
+    def take(self, kept: Indices) -> Self:
+        return type(self)(self.kernel, self.columns[kept], self.points[kept])
 
     def diagonal(self, X: Array) -> Array:
         return np.repeat(self.kernel.diag(np.zeros((1, 1))), len(X))
@@ -178,13 +172,13 @@ class KernelExpansion(NamedTuple):
             values += polynomial(X, self.origin, self.trend_coef)
         return values
 
-    def combine(self, weights: Array) -> KernelExpansion:
+    def combine(self, weights: Array) -> Self:
         """Return linear combinations of the outputs."""
         return self._replace(
             dual_coef=self.dual_coef @ weights, trend_coef=self.trend_coef @ weights
         )
 
-    def take(self, outputs: Indices | slice) -> KernelExpansion:
+    def take(self, outputs: Indices | slice) -> Self:
         """Return the function of some of the outputs."""
         return self._replace(
             dual_coef=self.dual_coef[:, outputs],
@@ -358,7 +352,7 @@ def _radial_tiles(kernel: RadialKernel, X: Array, centers: Array, exact: bool) -
     if (
         not exact
         and n_features > MAX_FEATURES_FOR_DIFFERENCES
-        and extent < MAX_SQUARED_SIZE_FOR_PRODUCTS
+        and extent < MAX_SIZE_FOR_PRODUCTS
     ):
         by_products = _distances_by_products(x, c)
 
@@ -387,7 +381,7 @@ def _distances_by_products(
     left_squared = np.einsum("ij,ij->i", left, left)
     right_squared = np.einsum("ij,ij->i", right, right)
     size = float(left_squared.max(initial=0.0) + right_squared.max())
-    if size > MAX_SQUARED_SIZE_FOR_PRODUCTS:
+    if size > MAX_SIZE_FOR_PRODUCTS:
         return None
     left = np.column_stack([-2 * left, left_squared, np.ones(len(x))])
     right = np.vstack([right.T, np.ones(len(c)), right_squared])

@@ -1,15 +1,13 @@
 """Matrices of kernels with compact support, by kd-trees of the centres."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial import KDTree
 
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman.kernels import RadialKernel
+from .._utils._typing import Array, Indices
+from ..kernels import RadialKernel
 
 # Rows from which the density of a matrix is estimated.
 SAMPLED_ROWS = 256

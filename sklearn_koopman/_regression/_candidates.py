@@ -4,27 +4,25 @@ A candidate is a kernel with its scale. It has predictions for every weight alph
 a closed form where that applies, and else from refits of the regressor.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from scipy.stats import rankdata
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 
-from sklearn_koopman._linalg._leave_out import (
+from .._linalg._leave_out import (
     Fold,
     Predictions,
     leave_out_interpolation,
     leave_out_least_squares,
 )
-from sklearn_koopman._matrices._polynomial import DEGREES, PolynomialTrend
-from sklearn_koopman._matrices._sections import KernelSections, matrix
-from sklearn_koopman._utils._rows import distinct_rows, group_means
-from sklearn_koopman._utils._typing import Array, Indices
+from .._matrices._polynomial import DEGREES, PolynomialTrend
+from .._matrices._sections import KernelSections, matrix
+from .._utils._rows import distinct_rows, group_means
+from .._utils._typing import Array, Indices
 
 
 class Split(NamedTuple):
@@ -72,27 +70,20 @@ class Problem:
     def folds(self) -> list[Fold]:
         """The folds as the closed form takes them."""
         if not self.interpolates:
-            return [
-                Fold(out, test, not np.isin(test, out).all())
-                for out, test, _ in self.splits
-            ]
+            return [Fold(out, test) for out, test, _ in self.splits]
         M, place = len(self.centers), self.table[1]
         size = np.bincount(place, minlength=M)[:M]
         has_equal = bool((size > 1).any())
         folds = []
-        for i, (rows, test, order) in enumerate(self.splits):
+        for rows, test, order in self.splits:
             out, lost = np.unique(place[rows], return_counts=True)
             out, lost = out[out < M], lost[out < M]
             # The outputs of centres that stay change if equal rows go, or if the order
             # of equal rows is another one.
             is_gone = lost == size[out]
             is_changed = not is_gone.all() or (has_equal and order is not None)
+            is_changed |= is_gone.sum() == M
             folds.append(Fold(out[is_gone], place[test], is_changed))
-            if is_gone.sum() == M:
-                raise ValueError(
-                    f"cv holds out all centres in fold {i}; choose more centres than "
-                    f"{M}, or smaller folds."
-                )
         return folds
 
     def predict(
@@ -104,10 +95,12 @@ class Problem:
         for alpha, found in zip(alphas, self._leave_out(kernel, alphas), strict=True):
             try:
                 if isinstance(found, ValueError) or (alpha == 0 and may_conflict):
-                    predictions = self._predict_as_fitted(kernel, alpha)
-                else:
-                    predictions = self._complete(kernel, alpha, found)
-                if not all(np.isfinite(own).all() for own in predictions):
+                    found = self._leave_out_of_kept(kernel, alpha)
+                predictions = [
+                    self._refit(kernel, alpha, split) if own is None else own
+                    for own, split in zip(found, self.splits, strict=True)
+                ]
+                if not np.isfinite(np.concatenate(predictions)).all():
                     raise ValueError("the predictions are not finite")
                 shape = self.y.shape[1:]
                 outcomes.append([own.reshape(-1, *shape) for own in predictions])
@@ -131,8 +124,6 @@ class Problem:
                 rows = self.centers if self.interpolates else self.X
                 extent = np.stack([rows.min(axis=0), rows.max(axis=0)])
                 trend = PolynomialTrend.at(self.centers, degree, extent)
-                if not (trend.is_determined or self.interpolates):
-                    raise np.linalg.LinAlgError("the centres determine no linear trend")
                 P = trend.values(table)
             if self.interpolates:
                 u, weight = self.outputs
@@ -146,30 +137,19 @@ class Problem:
         except np.linalg.LinAlgError as error:
             return [error] * len(alphas)
 
-    def _predict_as_fitted(self, kernel: Any, alpha: float) -> list[Array]:
-        """Predict with the centres that the regressor keeps on all rows.
+    def _leave_out_of_kept(self, kernel: Any, alpha: float) -> Predictions:
+        """Predict from the closed form with the centres that the regressor keeps.
 
         Raises
         ------
         ValueError
-            If the regressor has no estimate.
+            If the regressor has no estimate on all rows.
         """
         centers = None if self.every_row else self.centers
         model = self._fit(kernel, alpha, centers, self.X, self.y)
         kept = replace(self, centers=model.centers_)
         [found] = kept._leave_out(kernel, [alpha], is_verified=True)
-        if isinstance(found, ValueError):
-            found = [None] * len(self.splits)
-        return kept._complete(kernel, alpha, found)
-
-    def _complete(
-        self, kernel: Any, alpha: float, predictions: Predictions
-    ) -> list[Array]:
-        """Refit the folds that have no predictions."""
-        return [
-            self._refit(kernel, alpha, split) if own is None else own
-            for own, split in zip(predictions, self.splits, strict=True)
-        ]
+        return [None] * len(self.splits) if isinstance(found, ValueError) else found
 
     def _refit(self, kernel: Any, alpha: float, split: Split) -> Array:
         train = split.order
@@ -180,7 +160,7 @@ class Problem:
             place = self.table[1][train]
             centers = centers[np.isin(np.arange(len(centers)), place)]
         model = self._fit(kernel, alpha, centers, self.X[train], self.y[train])
-        return np.asarray(model.predict(self.X[split.test]))
+        return np.reshape(model.predict(self.X[split.test]), (len(split.test), -1))
 
     def _fit(self, kernel: Any, alpha: float, centers: Any, X: Array, y: Array) -> Any:
         model = clone(self.regressor)
@@ -190,7 +170,7 @@ class Problem:
 class IdentityRegressor(RegressorMixin, BaseEstimator):
     """Predicts its input, so that scorers can be applied to stored predictions."""
 
-    def fit(self, X: Any, y: Any = None) -> IdentityRegressor:
+    def fit(self, X: Any, y: Any = None) -> Self:
         return self
 
     def predict(self, X: Any) -> Any:
@@ -214,10 +194,11 @@ def score_kernel(
         if isinstance(found, ValueError):
             outcomes.append(found)
             continue
-        outputs = [problem.y[split.test] for split in problem.splits]
         if pooled:
-            found, outputs = [np.concatenate(found)], [problem.y]
-        pairs = zip(found, outputs, strict=True)
+            pairs = [(np.concatenate(found), problem.y)]
+        else:
+            outputs = [problem.y[split.test] for split in problem.splits]
+            pairs = list(zip(found, outputs, strict=True))
         scores = [scorer(IdentityRegressor(), own, y) for own, y in pairs]
         outcomes.append(np.hstack(scores))
     return outcomes

@@ -1,17 +1,15 @@
 """Bounds of the error of an interpolant, from its power function and native norm."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 
-from sklearn_koopman._linalg._systems import DirectSystem
-from sklearn_koopman._matrices._polynomial import is_undetermined
-from sklearn_koopman._selection import farthest_centers
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_number
-from sklearn_koopman._utils._warnings import warn
+from .._linalg._systems import DirectSystem
+from .._matrices._polynomial import is_undetermined
+from .._selection import farthest_centers
+from .._utils._typing import Array
+from .._utils._validation import check_number
+from .._utils._warnings import warn
 
 # Rounding error of the squared power function, relative to the kernel.
 ROUNDING = 1e-13

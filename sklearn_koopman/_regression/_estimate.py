@@ -1,15 +1,13 @@
 """What a regressor stores after a fit, however the fit was made."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_koopman._linalg._fit import Fit
-from sklearn_koopman._linalg._systems import System
-from sklearn_koopman._utils._rows import AveragedOutputs
-from sklearn_koopman._utils._typing import Array, Indices
+from .._linalg._fit import Fit
+from .._linalg._systems import System
+from .._utils._rows import AveragedOutputs
+from .._utils._typing import Array, Indices
 
 
 class Estimate(NamedTuple):

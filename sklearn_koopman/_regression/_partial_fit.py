@@ -1,28 +1,26 @@
 """Growth of a fitted regressor by a batch of rows: functions of its state."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_koopman._linalg._fit import (
+from .._linalg._fit import (
     REMEDY,
     Fit,
     check_rows_suffice,
     negligible_tolerance,
     scale_residuals,
 )
-from sklearn_koopman._linalg._incremental import GrowingLeastSquares, GrowingSystem
-from sklearn_koopman._linalg._systems import DirectSystem
-from sklearn_koopman._matrices._polynomial import DEGREES
-from sklearn_koopman._matrices._sections import KernelSections, Sections
-from sklearn_koopman._regression._estimate import Estimate, keep_averages
-from sklearn_koopman._utils._rows import AveragedOutputs, average_equal_rows
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman.centers import SeparatedCenterSelector
-from sklearn_koopman.solvers import ConjugateGradient
+from .._linalg._incremental import GrowingLeastSquares, GrowingSystem
+from .._linalg._systems import DirectSystem
+from .._matrices._polynomial import DEGREES
+from .._matrices._sections import KernelSections, Sections
+from .._utils._rows import AveragedOutputs, average_equal_rows
+from .._utils._typing import Array, Indices
+from ..centers import SeparatedCenterSelector
+from ..solvers import ConjugateGradient
+from ._estimate import Estimate, keep_averages
 
 
 def check_can_grow(model: Any) -> bool:

@@ -1,7 +1,5 @@
 """Threads: those of this package, and those of BLAS."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -12,7 +10,7 @@ from sklearn.utils import gen_batches
 from sklearn.utils.parallel import Parallel, delayed
 from threadpoolctl import ThreadpoolController
 
-from sklearn_koopman._utils._typing import Array
+from ._typing import Array
 
 
 def by_rows(

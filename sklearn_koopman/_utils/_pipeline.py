@@ -1,7 +1,5 @@
 """Fitted pipelines and searches, taken apart."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from sklearn.pipeline import Pipeline

@@ -1,12 +1,10 @@
 """Equal rows: which they are, and the means of their outputs."""
 
-from __future__ import annotations
-
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from sklearn_koopman._utils._typing import Array, Indices
+from ._typing import Array, Indices
 
 
 def distinct_rows(X: Array) -> tuple[Indices, Indices, Indices]:
@@ -71,13 +69,13 @@ class AveragedOutputs(NamedTuple):
     counts: Array
     scatter: Array
 
-    def take(self, rows: Indices) -> AveragedOutputs:
+    def take(self, rows: Indices) -> Self:
         """Return the outputs at some of the states."""
-        return AveragedOutputs(self.means[rows], self.counts[rows], self.scatter)
+        return type(self)(self.means[rows], self.counts[rows], self.scatter)
 
-    def joined(self, y: Array) -> AveragedOutputs:
+    def joined(self, y: Array) -> Self:
         """Return these outputs followed by those of further, distinct rows."""
-        return AveragedOutputs(
+        return type(self)(
             np.vstack([self.means, y]),
             np.append(self.counts, np.ones(len(y))),
             self.scatter,

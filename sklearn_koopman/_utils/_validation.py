@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_koopman._utils._typing import Array
+from ._typing import Array
 
 # Numbers between these have squares within the range of a double.
 MIN_MAGNITUDE, MAX_MAGNITUDE = 1e-150, 1e150

@@ -1,7 +1,5 @@
 """Warnings that point at the line of the user's code that led to them."""
 
-from __future__ import annotations
-
 import sys
 import warnings
 from types import FrameType

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from sklearn.utils import Bunch
 
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_choice, check_number
+from .._utils._typing import Array
+from .._utils._validation import check_choice, check_number
 
 UNITS = ("mm", "cm", "m")
 # Markers of a body that are all closer together than this, in mm, have another unit.

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils import Bunch, check_array, check_random_state
 
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_integer, check_number
-from sklearn_koopman.trajectories import trajectory_pairs
+from .._utils._typing import Array
+from .._utils._validation import check_integer, check_number
+from ..trajectories import trajectory_pairs
 
 _DESCR = """\
 Pendulum of unit mass and length, simulated

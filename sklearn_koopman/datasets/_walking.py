@@ -7,12 +7,8 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 from sklearn.utils import Bunch, check_random_state
 
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import (
-    check_integer,
-    check_number,
-    check_positive,
-)
+from .._utils._typing import Array
+from .._utils._validation import check_integer, check_number, check_positive
 
 _DESCR = """\
 SYNTHETIC walking of a planar two-link leg

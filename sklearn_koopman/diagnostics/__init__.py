@@ -1,23 +1,15 @@
 """How good an estimate can be, and is: geometry, conditioning, rates, calibration."""
 
-from sklearn_koopman.diagnostics._calibration import calibration_study
-from sklearn_koopman.diagnostics._conditioning import (
-    condition_number,
-    digits_lost,
-    smallest_eigenvalue,
-)
-from sklearn_koopman.diagnostics._geometry import (
+from ._calibration import calibration_study
+from ._conditioning import condition_number, digits_lost, smallest_eigenvalue
+from ._geometry import (
     fill_distance,
     intrinsic_dimension,
     mesh_ratio,
     separation_distance,
 )
-from sklearn_koopman.diagnostics._rates import sobolev_rates
-from sklearn_koopman.diagnostics._studies import (
-    conditioning_study,
-    convergence_study,
-    crowding_study,
-)
+from ._rates import sobolev_rates
+from ._studies import conditioning_study, convergence_study, crowding_study
 
 __all__ = [
     "calibration_study",

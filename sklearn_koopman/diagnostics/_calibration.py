@@ -12,10 +12,10 @@ from sklearn.base import clone
 from sklearn.model_selection import check_cv
 from sklearn.utils import Bunch, indexable
 
-from sklearn_koopman._utils._pipeline import transformed, unwrap
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_positive
-from sklearn_koopman.trajectories import TrajectoryKFold
+from .._utils._pipeline import transformed, unwrap
+from .._utils._typing import Array
+from .._utils._validation import check_positive
+from ..trajectories import TrajectoryKFold
 
 
 def calibration_study(

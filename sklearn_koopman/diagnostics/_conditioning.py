@@ -13,10 +13,10 @@ from scipy.linalg.lapack import dpotrs
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 from sklearn.utils import check_array
 
-from sklearn_koopman._matrices._sections import KernelSections, gram_matrix
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_number
-from sklearn_koopman.kernels import as_kernel
+from .._matrices._sections import KernelSections, gram_matrix
+from .._utils._typing import Array
+from .._utils._validation import check_number
+from ..kernels import as_kernel
 
 
 def condition_number(

@@ -12,14 +12,10 @@ from scipy.spatial.distance import cdist
 from scipy.special import digamma
 from sklearn.utils import check_array, check_random_state, gen_batches
 
-from sklearn_koopman._utils._rows import distinct_rows
-from sklearn_koopman._utils._typing import Array, Indices
-from sklearn_koopman._utils._validation import (
-    check_choice,
-    check_integer,
-    check_magnitude,
-)
-from sklearn_koopman._utils._warnings import warn
+from .._utils._rows import distinct_rows
+from .._utils._typing import Array, Indices
+from .._utils._validation import check_choice, check_integer, check_magnitude
+from .._utils._warnings import warn
 
 # Rows whose nearest centres are sought at a time, which bounds the memory.
 BATCH_ROWS = 2**16

@@ -19,8 +19,8 @@ from sklearn.gaussian_process.kernels import (
 )
 from sklearn.utils import Bunch
 
-from sklearn_koopman._utils._validation import check_integer, check_number
-from sklearn_koopman.kernels import RadialKernel, as_kernel
+from .._utils._validation import check_integer, check_number
+from ..kernels import RadialKernel, as_kernel
 
 
 def sobolev_rates(kernel: Any, n_features: int, dimension: float) -> Bunch:

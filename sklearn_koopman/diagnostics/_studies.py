@@ -13,25 +13,16 @@ from sklearn.base import clone
 from sklearn.gaussian_process.kernels import Kernel, WhiteKernel
 from sklearn.utils import Bunch, check_array, check_consistent_length
 
-from sklearn_koopman._selection import sequential_centers
-from sklearn_koopman._utils._pipeline import transformed, unwrap
-from sklearn_koopman._utils._typing import Array, Mask
-from sklearn_koopman._utils._validation import check_number, check_positive
-from sklearn_koopman._utils._warnings import warn
-from sklearn_koopman.centers import SeparatedCenterSelector
-from sklearn_koopman.diagnostics._conditioning import (
-    condition_number,
-    digits_lost,
-    extreme_eigenvalues,
-)
-from sklearn_koopman.diagnostics._geometry import (
-    fill_distance,
-    intrinsic_dimension,
-    measure,
-    separation_distance,
-)
-from sklearn_koopman.diagnostics._rates import sobolev_rates
-from sklearn_koopman.kernels import as_kernel
+from .._selection import sequential_centers
+from .._utils._pipeline import transformed, unwrap
+from .._utils._typing import Array, Mask
+from .._utils._validation import check_number, check_positive
+from .._utils._warnings import warn
+from ..centers import SeparatedCenterSelector
+from ..kernels import as_kernel
+from ._conditioning import condition_number, digits_lost, extreme_eigenvalues
+from ._geometry import fill_distance, intrinsic_dimension, measure, separation_distance
+from ._rates import sobolev_rates
 
 # Errors below this, relative to the outputs, are taken for rounding errors.
 ROUNDING_ERROR = 1e-12

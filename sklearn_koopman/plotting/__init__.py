@@ -5,12 +5,12 @@ and draws them in `plot`, on given axes or in a new figure. Only drawing needs
 matplotlib: ``pip install "sklearn-koopman[plot]"``.
 """
 
-from sklearn_koopman.plotting._centers import CenterSelectionDisplay
-from sklearn_koopman.plotting._conditioning import ConditioningDisplay
-from sklearn_koopman.plotting._convergence import ConvergenceDisplay
-from sklearn_koopman.plotting._forecast import ForecastDisplay
-from sklearn_koopman.plotting._spectrum import SpectrumDisplay
-from sklearn_koopman.plotting._surface import SurfaceDisplay
+from ._centers import CenterSelectionDisplay
+from ._conditioning import ConditioningDisplay
+from ._convergence import ConvergenceDisplay
+from ._forecast import ForecastDisplay
+from ._spectrum import SpectrumDisplay
+from ._surface import SurfaceDisplay
 
 __all__ = [
     "CenterSelectionDisplay",

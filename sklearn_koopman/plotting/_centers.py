@@ -4,22 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_koopman._utils._pipeline import unwrap
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman.diagnostics import fill_distance, separation_distance
-from sklearn_koopman.plotting._display import (
-    BLUE,
-    Display,
-    Keywords,
-    merge_style,
-)
-from sklearn_koopman.plotting._inputs import find_centers, resolve_names
+from .._utils._pipeline import unwrap
+from .._utils._typing import Array
+from ..diagnostics import fill_distance, separation_distance
+from ._display import BLUE, Display, Keywords, merge_style
+from ._inputs import find_centers, resolve_names
 
 # Up to this many samples matplotlib looks for the best place of the legend.
 MAX_SAMPLES_TO_AVOID = 2000
@@ -105,7 +100,7 @@ class CenterSelectionDisplay(Display):  # numpydoc ignore=PR02
         feature_names: Sequence[str] | None = None,
         ax: Any = None,
         **artist_kw: Any,
-    ) -> CenterSelectionDisplay:
+    ) -> Self:
         """Plot the centres of a fitted selector or model.
 
         Parameters
@@ -176,7 +171,7 @@ class CenterSelectionDisplay(Display):  # numpydoc ignore=PR02
         sample_kw: Keywords = None,
         center_kw: Keywords = None,
         circle_kw: Keywords = None,
-    ) -> CenterSelectionDisplay:
+    ) -> Self:
         """Draw samples, centres and circles.
 
         Parameters

@@ -4,21 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_choice
-from sklearn_koopman.diagnostics import conditioning_study
-from sklearn_koopman.plotting._display import (
-    CurveDisplay,
-    Keywords,
-    merge_style,
-    slope_text,
-    with_unit,
-)
-from sklearn_koopman.plotting._inputs import check_study, kernel_name
+from .._utils._typing import Array
+from .._utils._validation import check_choice
+from ..diagnostics import conditioning_study
+from ._display import CurveDisplay, Keywords, merge_style, slope_text, with_unit
+from ._inputs import check_study, kernel_name
 
 QUANTITIES = {
     "condition_number": "condition number",
@@ -103,7 +97,7 @@ class ConditioningDisplay(CurveDisplay):  # numpydoc ignore=PR02
         state_unit: str | None = None,
         ax: Any = None,
         **artist_kw: Any,
-    ) -> ConditioningDisplay:
+    ) -> Self:
         """Plot a study of conditioning or of crowding.
 
         Parameters
@@ -178,7 +172,7 @@ class ConditioningDisplay(CurveDisplay):  # numpydoc ignore=PR02
         dimension: float | None = None,
         confidence: float = 0.95,
         **display_kw: Any,
-    ) -> ConditioningDisplay:
+    ) -> Self:
         """Make a study of conditioning and plot it.
 
         Parameters
@@ -209,7 +203,7 @@ class ConditioningDisplay(CurveDisplay):  # numpydoc ignore=PR02
 
     def plot(
         self, ax: Any = None, *, line_kw: Keywords = None, lost_kw: Keywords = None
-    ) -> ConditioningDisplay:
+    ) -> Self:
         """Draw the curves.
 
         Parameters

@@ -4,21 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
-from sklearn_koopman._utils._typing import Array, Mask
-from sklearn_koopman._utils._validation import check_choice
-from sklearn_koopman.diagnostics import convergence_study
-from sklearn_koopman.plotting._display import (
-    CurveDisplay,
-    Keywords,
-    merge_style,
-    slope_text,
-    with_unit,
-)
-from sklearn_koopman.plotting._inputs import check_study, kernel_name
+from .._utils._typing import Array, Mask
+from .._utils._validation import check_choice
+from ..diagnostics import convergence_study
+from ._display import CurveDisplay, Keywords, merge_style, slope_text, with_unit
+from ._inputs import check_study, kernel_name
 
 ERRORS = {"sup_error": "largest error", "rms_error": "root mean square error"}
 # The guaranteed slope is drawn above the errors, at this multiple of the nearest one.
@@ -121,7 +115,7 @@ class ConvergenceDisplay(CurveDisplay):  # numpydoc ignore=PR02
         output_unit: str | None = None,
         ax: Any = None,
         **artist_kw: Any,
-    ) -> ConvergenceDisplay:
+    ) -> Self:
         """Plot a convergence study.
 
         Parameters
@@ -182,7 +176,7 @@ class ConvergenceDisplay(CurveDisplay):  # numpydoc ignore=PR02
         dimension: float | None = None,
         confidence: float = 0.95,
         **display_kw: Any,
-    ) -> ConvergenceDisplay:
+    ) -> Self:
         """Make a convergence study and plot it.
 
         Parameters
@@ -218,7 +212,7 @@ class ConvergenceDisplay(CurveDisplay):  # numpydoc ignore=PR02
 
     def plot(
         self, ax: Any = None, *, line_kw: Keywords = None, bound_kw: Keywords = None
-    ) -> ConvergenceDisplay:
+    ) -> Self:
         """Draw the errors and the guaranteed slope.
 
         Parameters

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from sklearn.utils import check_consistent_length
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_koopman._utils._pipeline import transformed, unwrap
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import (
-    check_choice,
-    check_flag,
-    check_integer,
-    check_number,
-)
-from sklearn_koopman.plotting._display import (
+from .._utils._pipeline import transformed, unwrap
+from .._utils._typing import Array
+from .._utils._validation import check_choice, check_flag, check_integer, check_number
+from ._display import (
     COLORS,
     Display,
     Keywords,
@@ -26,7 +21,7 @@ from sklearn_koopman.plotting._display import (
     merge_style,
     with_unit,
 )
-from sklearn_koopman.plotting._inputs import predict_one_step, select_output, times_of
+from ._inputs import predict_one_step, select_output, times_of
 
 TRUTH = "measured"
 SAMPLES, SECONDS = "time [samples]", "time [s]"
@@ -131,7 +126,7 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
         name: str = "predicted",
         ax: Any = None,
         **artist_kw: Any,
-    ) -> ForecastDisplay:
+    ) -> Self:
         """Plot predictions beside the measured output.
 
         Parameters
@@ -222,7 +217,7 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
         norm: Any = None,
         dt: float | None = None,
         **display_kw: Any,
-    ) -> ForecastDisplay:
+    ) -> Self:
         """Plot the predictions of a fitted model along a trajectory.
 
         Parameters
@@ -319,7 +314,7 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
         truth_kw: Keywords = None,
         prediction_kw: Keywords = None,
         band_kw: Keywords = None,
-    ) -> ForecastDisplay:
+    ) -> Self:
         """Draw the measured output, the prediction and the band.
 
         Parameters

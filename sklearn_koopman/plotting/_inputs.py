@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_koopman._utils._pipeline import unwrap
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_integer, check_number
+from .._utils._pipeline import unwrap
+from .._utils._typing import Array
+from .._utils._validation import check_integer, check_number
 
 # Patterns of the names and the representations of kernels, and their common names.
 COMMON_NAMES = {

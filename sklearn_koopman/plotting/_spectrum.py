@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_koopman._utils._pipeline import unwrap
-from sklearn_koopman._utils._typing import Array, Complex
-from sklearn_koopman._utils._validation import check_flag
-from sklearn_koopman.plotting._display import Display, Keywords, merge_style
+from .._utils._pipeline import unwrap
+from .._utils._typing import Array, Complex
+from .._utils._validation import check_flag
+from ._display import Display, Keywords, merge_style
 
 # All smaller residuals have the same colour.
 MIN_RESIDUAL = 1e-6
@@ -77,7 +77,7 @@ class SpectrumDisplay(Display):  # numpydoc ignore=PR02
     @classmethod
     def from_estimator(
         cls, estimator: Any, *, ax: Any = None, **artist_kw: Any
-    ) -> SpectrumDisplay:
+    ) -> Self:
         """Plot the spectrum of a fitted operator.
 
         Parameters
@@ -117,7 +117,7 @@ class SpectrumDisplay(Display):  # numpydoc ignore=PR02
         colorbar: bool = True,
         scatter_kw: Keywords = None,
         circle_kw: Keywords = None,
-    ) -> SpectrumDisplay:
+    ) -> Self:
         """Draw the eigenvalues and the unit circle.
 
         Parameters

@@ -4,30 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_koopman._utils._pipeline import unwrap
-from sklearn_koopman._utils._typing import Array
-from sklearn_koopman._utils._validation import check_integer, check_number
-from sklearn_koopman.plotting._display import (
-    BLUE,
-    GREEN,
-    ORANGE,
-    Display,
-    Keywords,
-    cut_surface,
-    merge_style,
-)
-from sklearn_koopman.plotting._inputs import (
-    locate_centers,
-    predict_like,
-    resolve_names,
-    select_output,
-)
+from .._utils._pipeline import unwrap
+from .._utils._typing import Array
+from .._utils._validation import check_integer, check_number
+from ._display import BLUE, GREEN, ORANGE, Display, Keywords, cut_surface, merge_style
+from ._inputs import locate_centers, predict_like, resolve_names, select_output
 
 # Surfaces are drawn this far beyond the outputs, as a fraction of their range.
 MARGIN = 0.25
@@ -142,7 +129,7 @@ class SurfaceDisplay(Display):  # numpydoc ignore=PR02
         output_name: str | None = None,
         ax: Any = None,
         **artist_kw: Any,
-    ) -> SurfaceDisplay:
+    ) -> Self:
         """Plot the estimate of a fitted model of two state variables.
 
         Parameters
@@ -247,7 +234,7 @@ class SurfaceDisplay(Display):  # numpydoc ignore=PR02
         center_kw: Keywords = None,
         interpolated_kw: Keywords = None,
         legend: bool = True,
-    ) -> SurfaceDisplay:
+    ) -> Self:
         """Draw the surfaces, the samples and the centres.
 
         Parameters
