@@ -34,19 +34,13 @@ from sklearn.gaussian_process.kernels import (
     WhiteKernel,
 )
 
-from sklearn_koopman import (
-    KoopmanKernelRegressor,
-    SeparatedCenterSelector,
-)
+from sklearn_koopman import KoopmanKernelRegressor, SeparatedCenterSelector
 from sklearn_koopman._linalg._incremental import (
     MAX_ADDED_PART,
     MAX_BLOCKS,
     GrowingSystem,
 )
-from sklearn_koopman._linalg._least_squares import (
-    NormalEquations,
-    sum_normal_equations,
-)
+from sklearn_koopman._linalg._least_squares import NormalEquations, sum_normal_equations
 from sklearn_koopman._linalg._systems import DirectSystem
 from sklearn_koopman._matrices._polynomial import DEGREES
 from sklearn_koopman._matrices._sections import KernelSections
@@ -632,27 +626,45 @@ def test_feature_that_begins_to_vary(trend, alpha):
     assert_same(grown(model, X, y, [1, 20]), expected, T)
 
 
-def test_feature_that_begins_to_vary_after_the_first_batch_of_least_squares():
-    """It gets no polynomial: the estimate is that without it."""
+@pytest.mark.parametrize("middle", [0.5, 0.6])
+@pytest.mark.parametrize("alpha", [0.01, 0.1])
+def test_feature_that_begins_to_vary_after_the_first_batch_of_least_squares(
+    alpha, middle
+):
+    """At the mean of the centres, or beside it."""
     rng = np.random.default_rng(8)
     X = rng.uniform(size=(80, 2))
-    X[:40, 1] = 0.5
+    X[:40, 1] = middle
     y = X[:, :1] ** 2 + 3 * X[:, 1:]
+    centers = np.stack(np.meshgrid([0.0, 0.3, 0.6, 0.9], [0.25, 0.5, 0.75]), axis=-1)
+    centers = centers.reshape(12, 2)
+    model = KoopmanKernelRegressor(
+        beta=0.5, centers=centers, method="least_squares", trend="linear", alpha=alpha
+    )
+    expected = clone(model).fit(X, y)
+    T = np.vstack([X, X + np.array([0.0, 0.8])])
+    assert_same(grown(model, X, y, [30, 40]), expected, T)
+
+
+def test_batch_that_varies_where_the_centres_do_not_is_refused():
+    rng = np.random.default_rng(8)
+    X = rng.uniform(size=(80, 2))
+    X[:60, 1] = 0.5
+    y = X[:, 0] ** 2 + 3 * X[:, 1]
     centers = np.column_stack([np.linspace(0, 1, 6), np.full(6, 0.5)])
     model = KoopmanKernelRegressor(
         beta=0.5, centers=centers, method="least_squares", trend="linear"
     )
-    grown(model, X, y, [30])
-    K = kernel_matrix("matern32", centers, centers, 0.5)
-    A = kernel_matrix("matern32", X, centers, 0.5)
-    P, p = (monomials(x[:, :1], "linear", 0.5) for x in (centers, X))
-    solve = dense_least_squares(K, P, A, p, 0.0)
-    assert_allclose(model.predict(X), np.hstack([A, p]) @ solve @ y, atol=1e-8)
-    assert_array_equal(model.trend_coef_[2], [0.0])
-    # Where it varies in the first batch, the centres have to determine it.
     for learn in (clone(model).fit, clone(model).partial_fit):
         with pytest.raises(ValueError, match="do not determine a linear function"):
             learn(X, y)
+    expected = clone(model).fit(X[:60], y[:60])
+    model.partial_fit(X[:30], y[:30])
+    state = pickle.dumps(vars(model))
+    with pytest.raises(ValueError, match="do not determine a linear function"):
+        model.partial_fit(X[60:], y[60:])
+    assert pickle.dumps(vars(model)) == state  # bit for bit
+    assert_same(model.partial_fit(X[30:60], y[30:60]), expected, X[:60])
 
 
 def test_trend_that_the_centres_do_not_determine_is_refused():
@@ -898,7 +910,7 @@ def test_bounds_know_the_penalty_of_added_centres():
 def test_error_bound_is_not_for_least_squares_that_grows():
     X, y = samples(60)
     model = KoopmanKernelRegressor(centers=GIVEN, method="least_squares")
-    with pytest.raises(ValueError, match="error_bound is that of interpolation"):
+    with pytest.raises(ValueError, match="error_bound needs an interpolant"):
         model.partial_fit(X, y).error_bound(X)
 
 

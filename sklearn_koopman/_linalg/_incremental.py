@@ -12,12 +12,7 @@ from .._matrices._polynomial import PolynomialTrend
 from .._matrices._sections import KernelSections, gram_matrix, matrix
 from .._utils._typing import Array
 from ._cholesky import MIN_RCOND, RCOND_TO_VERIFY, pivot_rcond
-from ._fit import (
-    Fit,
-    check_trend_determined,
-    relative_error,
-    scale_residuals,
-)
+from ._fit import Fit, check_trend_determined, relative_error, scale_residuals
 from ._least_squares import NormalEquations
 from ._systems import DirectSystem
 

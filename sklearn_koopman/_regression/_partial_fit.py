@@ -144,10 +144,10 @@ def start_least_squares(
         If there is no estimate.
     """
     check_rows_suffice(len(X), sections.size, model.alpha)
-    extent = np.stack([X.min(axis=0), X.max(axis=0)])
     nugget, degree = np.zeros(sections.size), DEGREES[model.trend]
     solver = "cholesky" if model.solver == "cholesky" else "pivoted_cholesky"
-    system = DirectSystem(sections, nugget, degree, solver, extent)
+    # What varies is what does among the centres: the first batch may be too short.
+    system = DirectSystem(sections, nugget, degree, solver)
 
     def start() -> tuple[GrowingLeastSquares, Fit]:
         growth = GrowingLeastSquares.over(system, X, y)
