@@ -140,8 +140,8 @@ def _check_markers(**markers: Any) -> Array:
     """Validate markers into a finite array of shape (n_markers, n_frames, 3)."""
     positions = {name: _as_floats(marker, name) for name, marker in markers.items()}
     shapes = {name: position.shape for name, position in positions.items()}
-    n_frames = len(positions["hip"])
-    if n_frames == 0 or {*shapes.values()} != {(n_frames, 3)}:
+    shape = shapes["hip"]
+    if {*shapes.values()} != {shape} or shape[1:] != (3,) or not shape[0]:
         raise ValueError(
             f"the markers have the shapes {shapes}; give all three of them one shape "
             "(n_frames, 3), one row of coordinates for each frame."
@@ -150,7 +150,7 @@ def _check_markers(**markers: Any) -> Array:
         gaps = np.flatnonzero(~np.isfinite(position).all(axis=1))
         if len(gaps):
             raise ValueError(
-                f"{name} holds NaN or infinity in {len(gaps)} of {n_frames} frames, "
+                f"{name} holds NaN or infinity in {len(gaps)} of {shape[0]} frames, "
                 f"first in frame {gaps[0]}; fill the gaps, or cut the recording there."
             )
     return np.array([*positions.values()])

@@ -171,6 +171,7 @@ def _with(marker, frame, value):
         (lambda m: m.update(hip=m["hip"][:, :2]), r"'hip': \(200, 2\), .* \(200, 3\)"),
         (lambda m: m.update(knee=[[1, 2, 3], [4]]), r"knee must be an array of num"),
         (lambda m: m.update(hip=m["hip"][0]), r"'hip': \(3,\)"),
+        (lambda m: m.update(hip=1), r"'hip': \(\), "),
         (lambda m: m.update(hip=m["hip"][:0]), r"'hip': \(0, 3\)"),
         (lambda m: m.update(knee=m["hip"]), r"thigh has no length .* frame 0"),
         (
