@@ -15,8 +15,6 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 BLUE, ORANGE, GREEN, *_ = COLORS
 # One more than colours, so that both together repeat after 42 curves only.
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-# Room for a row of legend entries above the curves, as a fraction of their range.
-HEADROOM = 0.15
 
 # Keyword arguments for an artist of matplotlib.
 Keywords: TypeAlias = Mapping[str, Any] | None
@@ -38,9 +36,7 @@ class Display:
                 'pip install "sklearn-koopman[plot]".'
             ) from error
         if ax is None:
-            _, ax = plt.subplots(
-                layout="constrained", subplot_kw={"projection": projection}
-            )
+            ax = plt.figure(layout="constrained").add_subplot(projection=projection)
         self.ax_, self.figure_ = ax, ax.figure
         return ax
 
@@ -92,8 +88,9 @@ class CurveDisplay(Display):
             axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         self.ax_.set(xlabel=xlabel, ylabel=ylabel)
         size = "small" if count_curves(self.ax_) <= 4 else "x-small"
-        options = {"fontsize": size, "title_fontsize": size, "alignment": "left"}
-        self.ax_.legend(title=title, **options)
+        self.ax_.legend(
+            title=title, fontsize=size, title_fontsize=size, alignment="left"
+        )
 
 
 def with_unit(name: str, unit: str | None) -> str:
@@ -108,18 +105,6 @@ def slope_text(slope: float, interval: Sequence[float]) -> str:
     half = (interval[1] - interval[0]) / 2
     error = f" ± {half:.2f}" if np.isfinite(half) else ""
     return f"{slope:.2f}{error}".replace("-", "\N{MINUS SIGN}")
-
-
-def limit_view(ax: Any, truth: Array) -> None:
-    """End the vertical axis at most one range of the true values beyond them."""
-    truth = truth[np.isfinite(truth)]
-    if not len(truth):
-        return
-    size = float(np.ptp(truth) or np.abs(truth).max() or 1.0)
-    low, high = ax.dataLim.intervaly
-    low, high = max(low, truth.min() - size), min(high, truth.max() + size)
-    margin = 0.05 * ((high - low) or size)
-    ax.set_ylim(low - margin, high + margin + HEADROOM * (high - low))
 
 
 def cut_surface(values: Array, low: float, high: float) -> Array:
