@@ -461,9 +461,7 @@ class _Geodesic:
         self.longest = length.max(axis=1, initial=0.0)
         self.begin = np.repeat(np.arange(n_nodes), self.n_neighbors)
         self.end, self.length = end.ravel(), length.ravel()
-        edges: Any = csr_matrix(
-            (self.length, (self.begin, self.end)), shape=(n_nodes, n_nodes)
-        )
+        edges: Any = csr_matrix((self.length, (self.begin, self.end)), (n_nodes,) * 2)
         self.distance, _, self.source = dijkstra(
             edges, False, np.arange(n_centers), return_predecessors=True, min_only=True
         )

@@ -188,19 +188,17 @@ rms_error, condition_number : ndarray of shape (n_separations,)
         is_sound = not any(issubclass(w.category, LinAlgWarning) for w in caught)
         is_exact = final.method == "interpolation"
         nugget = final.alpha if is_exact else 0.0
-        condition = condition_number(final.kernel_, centers, alpha=nugget)
-        lines.append(
-            {
-                "separation": separation,
-                "n_centers": len(centers),
-                "fill_distance": distances.fill_distance(),
-                "separation_distance": distances.separation_distance(),
-                "sup_error": float(error.max()),
-                "rms_error": float(np.sqrt(np.mean(error**2))),
-                "condition_number": condition,
-                "used": is_sound and not np.array_equal(previous, centers),
-            }
-        )
+        line = {
+            "separation": separation,
+            "n_centers": len(centers),
+            "fill_distance": distances.fill_distance(),
+            "separation_distance": distances.separation_distance(),
+            "sup_error": float(error.max()),
+            "rms_error": float(np.sqrt(np.mean(error**2))),
+            "condition_number": condition_number(final.kernel_, centers, alpha=nugget),
+            "used": is_sound and not np.array_equal(previous, centers),
+        }
+        lines.append(line)
     for message, category in messages.items():
         if not issubclass(category, LinAlgWarning):
             warn(message, category)
@@ -339,9 +337,8 @@ def conditioning_study(
         finite = np.flatnonzero(np.isfinite(condition[i, j]) & np.isfinite(q))
         finite = finite[np.argsort(q[finite])]
         finest = finite[: max(-(-len(finite) // 2), 3)]
-        slope[i, j], interval[i, j] = _slope(
-            q[finest], condition[i, j, finest], confidence, fewest=3
-        )
+        fit = _slope(q[finest], condition[i, j, finest], confidence, fewest=3)
+        slope[i, j], interval[i, j] = fit
     return Bunch(
         kernel=[k if isinstance(k, str) else repr(k) for k in kernels],
         beta=betas,
@@ -501,12 +498,10 @@ def _slope(
     x: Array, y: Array, confidence: float, fewest: int = 2
 ) -> tuple[float, Array]:
     """Fit a straight line to logarithms; return its slope and the slope's interval."""
-    nothing = np.full(2, np.nan)
     if len(x) < fewest or np.ptp(x) == 0:
-        return np.nan, nothing
+        return np.nan, np.full(2, np.nan)
     line = linregress(np.log(x), np.log(y))
-    if len(x) == 2:
-        return float(line.slope), nothing
+    # Two points leave no degree of freedom, for which `ppf` is NaN.
     width = t.ppf((1 + confidence) / 2, len(x) - 2) * line.stderr
     return float(line.slope), line.slope + width * np.array([-1.0, 1.0])
 
@@ -563,10 +558,8 @@ def above_rounding(h: Array, error: Array, size: float) -> Mask:
     """
     order = np.argsort(-h, kind="stable")
     ordered = error[order]
-    smallest_before = np.minimum.accumulate(np.append(np.inf, ordered))[:-1]
-    smallest_from_here = np.minimum.accumulate(ordered[::-1])[::-1]
+    best_before = np.minimum.accumulate(np.append(np.inf, ordered))[:-1]
+    best_after = np.minimum.accumulate(ordered[::-1])[::-1]  # this one included
     stalled = np.empty(len(h), dtype=bool)
-    stalled[order] = (ordered < STALLED_ERROR * size) & (
-        smallest_from_here > smallest_before / 2
-    )
+    stalled[order] = (ordered < STALLED_ERROR * size) & (best_after > best_before / 2)
     return (error > ROUNDING_ERROR * size) & ~stalled

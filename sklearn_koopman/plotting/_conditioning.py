@@ -126,8 +126,7 @@ class ConditioningDisplay(CurveDisplay):  # numpydoc ignore=PR02
         name = "conditioning_study or crowding_study"
         check_study(study, name, "smallest_eigenvalue")
         crowding = "gap" in study
-        if quantity is None:
-            quantity = "smallest_eigenvalue" if crowding else "condition_number"
+        quantity = QUANTITIES[crowding] if quantity is None else quantity
         check_choice(quantity, "quantity", QUANTITIES)
         values = np.asarray(study[quantity])
         values = values.reshape(-1, values.shape[-1])
@@ -231,10 +230,5 @@ class ConditioningDisplay(CurveDisplay):  # numpydoc ignore=PR02
 
 def _slopes(study: Mapping[str, Any], i: int, j: int) -> str:
     """Write the slope of a condition number beside the expected one."""
-    slope = slope_text(study["slope"][i][j], study["slope_interval"][i][j])
-    expected = study["expected_slope"][i]
-    if np.isnan(expected):
-        return slope
-    if np.isinf(expected):
-        return f"{slope} (expected: any power)"
-    return f"{slope} (expected {expected:.3g})".replace("-", "\N{MINUS SIGN}")
+    slope, interval = study["slope"][i][j], study["slope_interval"][i][j]
+    return slope_text(slope, interval, "expected", study["expected_slope"][i])

@@ -253,10 +253,7 @@ class ConvergenceDisplay(CurveDisplay):  # numpydoc ignore=PR02
         return self
 
     def _label(self) -> str:
-        guaranteed = f"guaranteed {self.guaranteed_slope:.3g}"
-        if np.isinf(self.guaranteed_slope):
-            guaranteed = "guaranteed: any power"
-        elif np.isnan(self.guaranteed_slope):
-            guaranteed = "no guarantee"
         name = "" if self.name is None else f"{self.name}: "
-        return f"{name}{slope_text(self.slope, self.slope_interval)} ({guaranteed})"
+        power = self.guaranteed_slope
+        text = slope_text(self.slope, self.slope_interval, "guaranteed", power)
+        return name + text + " (no guarantee)" * bool(np.isnan(power))

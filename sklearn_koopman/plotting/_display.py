@@ -88,9 +88,8 @@ class CurveDisplay(Display):
             axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         self.ax_.set(xlabel=xlabel, ylabel=ylabel)
         size = "small" if count_curves(self.ax_) <= 4 else "x-small"
-        self.ax_.legend(
-            title=title, fontsize=size, title_fontsize=size, alignment="left"
-        )
+        options = {"fontsize": size, "title_fontsize": size, "alignment": "left"}
+        self.ax_.legend(title=title, **options)
 
 
 def with_unit(name: str, unit: str | None) -> str:
@@ -98,13 +97,14 @@ def with_unit(name: str, unit: str | None) -> str:
     return name if unit is None else f"{name} [{unit}]"
 
 
-def slope_text(slope: float, interval: Sequence[float]) -> str:
-    """Write a slope and half the width of its interval, if they are finite."""
-    if not np.isfinite(slope):
-        return "no slope"
+def slope_text(slope: float, interval: Sequence[float], kind: str, power: float) -> str:
+    """Write a slope, half its interval, and the known power of this kind, if any."""
     half = (interval[1] - interval[0]) / 2
     error = f" ± {half:.2f}" if np.isfinite(half) else ""
-    return f"{slope:.2f}{error}".replace("-", "\N{MINUS SIGN}")
+    text = f"{slope:.2f}{error}" if np.isfinite(slope) else "no slope"
+    if not np.isnan(power):
+        text += f" ({kind}: any power)" if np.isinf(power) else f" ({kind} {power:.3g})"
+    return text.replace("-", "\N{MINUS SIGN}")
 
 
 def cut_surface(values: Array, low: float, high: float) -> Array:

@@ -324,16 +324,11 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
         ax = self._set_axes(ax)
         style = merge_style({"color": "k", "linewidth": 1.5, "label": TRUTH}, truth_kw)
         label = style["label"]
-        shared = [
-            line
-            for line in ax.lines
-            if line.get_label() == label
-            and np.array_equal(line.get_xdata(), self.time)
-            and np.array_equal(line.get_ydata(), self.y_true, equal_nan=True)
-        ]
+        data = self.time, self.y_true
+        named = [x for x in ax.lines if x.get_label() == label]
+        drawn = [x for x in named if np.array_equal(x.get_data(), data, equal_nan=True)]
         color = COLORS[(count_curves(ax, [label]) + 1) % len(COLORS)]  # no blue first
-        drawn = shared or ax.plot(self.time, self.y_true, **style)
-        self.truth_ = drawn[0]
+        self.truth_ = (drawn or ax.plot(*data, **style))[0]
         style = {"color": color, "linestyle": "--", "linewidth": 1.5}
         style = merge_style(style | {"label": self.name}, prediction_kw)
         (self.prediction_,) = ax.plot(self.time, self.y_pred, **style)

@@ -88,8 +88,8 @@ def predict_one_step(
         return predicted, 2 * std, "±2 standard deviations"
     needed = "error_bound(X)" if band == "bound" else "predict(X, return_std=True)"
     raise ValueError(
-        f"band={band!r} needs {needed}, which {type(estimator).__name__} does not have; "
-        "pass a KoopmanKernelRegressor, or band=None."
+        f"band={band!r} needs {needed}, which {type(estimator).__name__} does not "
+        "have; pass a KoopmanKernelRegressor, or band=None."
     )
 
 

@@ -192,9 +192,8 @@ class SurfaceDisplay(Display):  # numpydoc ignore=PR02
         centers = locate_centers(estimator, X, states)
         low, high = states.min(axis=0), states.max(axis=0)
         size = np.where(high > low, high - low, np.maximum(np.abs(low), 1))
-        xx0, xx1 = np.meshgrid(
-            *np.linspace(low - padding * size, high + padding * size, grid_resolution).T
-        )
+        axes = np.linspace(low - padding * size, high + padding * size, grid_resolution)
+        xx0, xx1 = np.meshgrid(*axes.T)
         grid = np.column_stack([xx0.ravel(), xx1.ravel()])
 
         estimate = predict_like(estimator, X, grid, output)
@@ -278,9 +277,7 @@ class SurfaceDisplay(Display):  # numpydoc ignore=PR02
             drawn = ax.plot_surface(self.xx0, self.xx1, values, **kw)
             color = kw.get("color", kw.get("facecolor"))
             edge = kw.get("edgecolor", "none")
-            handles.append(
-                Patch(facecolor=color, edgecolor=edge, alpha=kw["alpha"], label=label)
-            )
+            handles.append(Patch(fc=color, ec=edge, alpha=kw["alpha"], label=label))
             return drawn
 
         def _points(x: Array, z: Any, defaults: Any, given: Any) -> Any:
