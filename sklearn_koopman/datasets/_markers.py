@@ -1,7 +1,5 @@
 """Marker files: the tab-separated format of Fukuchi et al., and OpenSim's TRC."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from difflib import get_close_matches

@@ -1,7 +1,5 @@
 """Archives of the markers of several trials."""
 
-from __future__ import annotations
-
 import os
 from zipfile import BadZipFile
 

@@ -1,7 +1,5 @@
 """How far stated standard deviations agree with errors."""
 
-from __future__ import annotations
-
 from inspect import signature
 from numbers import Integral
 from typing import Any

@@ -1,7 +1,5 @@
 """Condition of Gram matrices, and the digits that it costs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any

@@ -1,7 +1,5 @@
 """How centres and samples lie on the manifold that they come from."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -371,60 +369,6 @@ def _return_in_steps(X: Array) -> float:
     return 2 * distance / step if np.isfinite(distance) else 0.0
 
 
-def measure(
-    centers: Any,
-    reference: Any,
-    metric: str,
-    n_neighbors: int | None = None,
-    trajectory: Array | None = None,
-) -> _Euclidean | _Geodesic:
-    """Prepare the distances of centres; warn where paths follow a trajectory.
-
-    Parameters
-    ----------
-    centers : array-like of shape (n_centers, n_features)
-        The centres.
-    reference : array-like of shape (n_samples, n_features)
-        Samples that cover the manifold.
-    metric : {"euclidean", "geodesic"}
-        As for :func:`fill_distance`.
-    n_neighbors : int, default=None
-        As for :func:`fill_distance`.
-    trajectory : ndarray of shape (n_rows, n_features), default=None
-        The part of the reference that is in the order of time. None for all of it.
-
-    Returns
-    -------
-    distances : _Euclidean or _Geodesic
-        With methods that compute the fill and the separation distance.
-    """
-    check_choice(metric, "metric", ("euclidean", "geodesic"))
-    if n_neighbors is not None:
-        check_integer(n_neighbors, "n_neighbors", 1)
-        if metric == "euclidean":
-            raise ValueError("n_neighbors is for metric='geodesic' only.")
-    centers, reference = _checked(centers, "centers"), _checked(reference, "reference")
-    if centers.shape[1] != reference.shape[1]:
-        raise ValueError(
-            f"centers has {centers.shape[1]} features, but reference has "
-            f"{reference.shape[1]}; give states of the same kind and scale."
-        )
-    straight = _Euclidean(centers, reference)
-    if metric == "euclidean":
-        return straight
-    paths = _Geodesic(centers, reference, n_neighbors)
-    trajectory = reference if trajectory is None else trajectory
-    apart = float(np.median(_return_distances(trajectory)))
-    # Twice: neighbourhoods have to reach well into the next passage.
-    if np.median(paths.longest) < 2 * apart < 2 * straight.fill_distance():
-        warn(
-            f"paths follow the trajectory: the {paths.n_neighbors} neighbours of most "
-            "points are the samples just before and after. If the motion covers a "
-            f"surface, thin the reference by SeparatedCenterSelector({apart:.2g})."
-        )
-    return paths
-
-
 class _Euclidean(NamedTuple):
     """Distances of centres through the space around the manifold."""
 
@@ -487,6 +431,60 @@ class _Geodesic:
         begin, end = self.begin[crossing], self.end[crossing]
         paths = self.distance[begin] + self.length[crossing] + self.distance[end]
         return float(paths.min(initial=np.inf)) / 2
+
+
+def measure(
+    centers: Any,
+    reference: Any,
+    metric: str,
+    n_neighbors: int | None = None,
+    trajectory: Array | None = None,
+) -> _Euclidean | _Geodesic:
+    """Prepare the distances of centres; warn where paths follow a trajectory.
+
+    Parameters
+    ----------
+    centers : array-like of shape (n_centers, n_features)
+        The centres.
+    reference : array-like of shape (n_samples, n_features)
+        Samples that cover the manifold.
+    metric : {"euclidean", "geodesic"}
+        As for :func:`fill_distance`.
+    n_neighbors : int, default=None
+        As for :func:`fill_distance`.
+    trajectory : ndarray of shape (n_rows, n_features), default=None
+        The part of the reference that is in the order of time. None for all of it.
+
+    Returns
+    -------
+    distances : _Euclidean or _Geodesic
+        With methods that compute the fill and the separation distance.
+    """
+    check_choice(metric, "metric", ("euclidean", "geodesic"))
+    if n_neighbors is not None:
+        check_integer(n_neighbors, "n_neighbors", 1)
+        if metric == "euclidean":
+            raise ValueError("n_neighbors is for metric='geodesic' only.")
+    centers, reference = _checked(centers, "centers"), _checked(reference, "reference")
+    if centers.shape[1] != reference.shape[1]:
+        raise ValueError(
+            f"centers has {centers.shape[1]} features, but reference has "
+            f"{reference.shape[1]}; give states of the same kind and scale."
+        )
+    straight = _Euclidean(centers, reference)
+    if metric == "euclidean":
+        return straight
+    paths = _Geodesic(centers, reference, n_neighbors)
+    trajectory = reference if trajectory is None else trajectory
+    apart = float(np.median(_return_distances(trajectory)))
+    # Twice: neighbourhoods have to reach well into the next passage.
+    if np.median(paths.longest) < 2 * apart < 2 * straight.fill_distance():
+        warn(
+            f"paths follow the trajectory: the {paths.n_neighbors} neighbours of most "
+            "points are the samples just before and after. If the motion covers a "
+            f"surface, thin the reference by SeparatedCenterSelector({apart:.2g})."
+        )
+    return paths
 
 
 def _neighbor_distances(points: Array, X: Array, orders: list[int]) -> Array:

@@ -1,7 +1,5 @@
 """Rates of convergence that the theory guarantees."""
 
-from __future__ import annotations
-
 from numbers import Real
 from typing import Any
 

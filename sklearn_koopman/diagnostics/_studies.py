@@ -1,7 +1,5 @@
 """Studies of convergence and conditioning on the user's data."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any

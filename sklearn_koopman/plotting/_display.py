@@ -1,7 +1,5 @@
 """What all displays share: axes, colours, styles, scales and labels."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, TypeAlias
 

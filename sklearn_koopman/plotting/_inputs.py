@@ -1,7 +1,5 @@
 """What displays take from estimators and data, and the checks of it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from inspect import signature
