@@ -1042,7 +1042,7 @@ def test_forecasts_refuse(model, operator, pendulum):
         show(operator, X, y, n_steps=2, relift=1)
 
     compare = ForecastDisplay.from_predictions
-    with pytest.raises(ValueError, match=r"without dt, got .* dt=0.1"):
+    with pytest.raises(ValueError, match=r"time .* excludes dt; got .* dt=0.1"):
         compare(y, y, time=y, dt=0.1)
     with pytest.raises(ValueError, match="one entry for each of 100"):
         compare(y, y, time=y[1:])

@@ -274,10 +274,12 @@ def _rows(lines: list[str], header: _Header) -> _Rows:
                 f"line {number}: found {len(fields)} fields separated by tabs, "
                 f"expected {n_columns}; the line is damaged, export the file again."
             )
-    if not rows or header.n_frames not in (None, len(rows)):
+    if not rows:
+        raise ValueError(f"no frames after line {header.n_lines}; export them again.")
+    if header.n_frames not in (None, len(rows)):
         raise ValueError(
-            f"found {len(rows)} frames after line {header.n_lines}, but the header "
-            f"has {header.n_frames or 'some'}; export the file again."
+            f"found {len(rows)} frames, but NumFrames in line 3 is {header.n_frames}; "
+            "the file was cut or edited, export it again."
         )
     return rows
 

@@ -480,8 +480,8 @@ def measure(
     # Twice: neighbourhoods have to reach well into the next passage.
     if np.median(paths.longest) < 2 * apart < 2 * straight.fill_distance():
         warn(
-            f"paths follow the trajectory: the {paths.n_neighbors} neighbours of most "
-            "points are the samples just before and after. If the motion covers a "
+            f"The paths follow the trajectory: the {paths.n_neighbors} neighbours of "
+            "most points are the samples just before and after. If the motion covers a "
             f"surface, thin the reference by SeparatedCenterSelector({apart:.2g})."
         )
     return paths

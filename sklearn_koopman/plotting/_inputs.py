@@ -143,8 +143,8 @@ def times_of(n_times: int, time: Any, dt: float | None) -> Array:
     times = np.asarray(time, dtype=np.float64)
     if dt is not None or times.shape != (n_times,):
         raise ValueError(
-            f"time must have one entry for each of {n_times} outputs, without dt, got "
-            f"the shape {times.shape} and dt={dt!r}."
+            f"time must have one entry for each of {n_times} outputs, and excludes dt; "
+            f"got the shape {times.shape} and dt={dt!r}."
         )
     return times
 
