@@ -124,7 +124,7 @@ def leg_angles(
             f"forward={forward!r} and up={up!r} are not orthogonal; subtract from one "
             "its part along the other, or use two different columns."
         )
-    segments = np.diff([positions[name] for name in ("hip", "knee", "ankle")], axis=0)
+    segments = np.diff(positions, axis=0)
     planar = segments @ axes
     lengths = _check_segments(segments, planar)
     # In a complex plane whose real axis points straight down.
@@ -132,33 +132,28 @@ def leg_angles(
     # The sum turns -0.0 into 0.0: a shank folded onto the thigh is at pi, not -pi.
     bend = thigh * shank.conj() + 0.0
     angles = np.column_stack([np.angle(thigh), np.angle(bend)])
-    reach = (positions["ankle"] - positions["hip"]) @ axes
+    reach = (positions[2] - positions[0]) @ axes
     return angles, reach / lengths.sum() if normalize else reach
 
 
-def _check_markers(**markers: Any) -> dict[str, Array]:
-    """Validate markers into finite arrays of one shape (n_frames, 3)."""
+def _check_markers(**markers: Any) -> Array:
+    """Validate markers into a finite array of shape (n_markers, n_frames, 3)."""
     positions = {name: _as_floats(marker, name) for name, marker in markers.items()}
+    shapes = {name: position.shape for name, position in positions.items()}
+    shape = shapes["hip"]
+    if {*shapes.values()} != {shape} or shape[1:] != (3,) or not shape[0]:
+        raise ValueError(
+            f"the markers have the shapes {shapes}; give all three of them one shape "
+            "(n_frames, 3), one row of coordinates for each frame."
+        )
     for name, position in positions.items():
-        if position.ndim != 2 or position.shape[1] != 3 or len(position) == 0:
-            raise ValueError(
-                f"{name} has shape {position.shape}; expected (n_frames, 3), one row "
-                "of coordinates for each frame."
-            )
         gaps = np.flatnonzero(~np.isfinite(position).all(axis=1))
         if len(gaps):
             raise ValueError(
-                f"{name} holds NaN or infinity in {len(gaps)} of {len(position)} "
-                f"frames, first in frame {gaps[0]}; fill the gaps, or cut the "
-                "recording there."
+                f"{name} holds NaN or infinity in {len(gaps)} of {shape[0]} frames, "
+                f"first in frame {gaps[0]}; fill the gaps, or cut the recording there."
             )
-    if len({len(position) for position in positions.values()}) > 1:
-        frames = ", ".join(f"{name} {len(p)}" for name, p in positions.items())
-        raise ValueError(
-            f"the markers differ in their numbers of frames ({frames}); pass the same "
-            "frames of all three."
-        )
-    return positions
+    return np.array([*positions.values()])
 
 
 def _as_floats(value: Any, name: str) -> Array:
@@ -188,13 +183,11 @@ def _check_segments(segments: Array, planar: Array) -> Array:
     """Return the mean lengths of thigh and shank; refuse implausible ones."""
     lengths = np.linalg.norm(segments, axis=-1).mean(axis=-1)
     is_flat = np.linalg.norm(planar, axis=-1) <= 1e-9 * lengths[:, np.newaxis]
-    for name, frames in zip(("thigh", "shank"), is_flat, strict=True):
-        if frames.any():
-            raise ValueError(
-                f"the {name} has no length in the plane of forward and up in frame "
-                f"{frames.argmax()}; two markers coincide there, or forward or up is "
-                "wrong."
-            )
+    for segment, frame in np.argwhere(is_flat):
+        raise ValueError(
+            f"the {('thigh', 'shank')[segment]} has no length in the plane of forward "
+            f"and up in frame {frame}; check the markers, forward and up."
+        )
     if lengths.max() > 10 * lengths.min():
         raise ValueError(
             f"mean thigh length is {lengths[0]:.4g} but mean shank length "

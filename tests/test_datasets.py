@@ -450,16 +450,16 @@ def test_seconds_rounded_to_milliseconds(write, rate, n_frames, first):
 def test_slightly_wrong_rate_is_accepted_but_not_another(write):
     path = write(seconds(f"{i / 150:.3f}" for i in range(600)))
     assert load_markers(path, rate=149.0).rate == 149.0
-    with pytest.raises(ValueError, match=r"trial.txt: .* by 150 .* pass rate=150"):
+    with pytest.raises(ValueError, match=r"trial.txt: .* by 150 .* rate is 147;"):
         load_markers(path, rate=147.0)
-    with pytest.raises(ValueError, match=r"rate=120; pass rate=150"):
+    with pytest.raises(ValueError, match=r"by 150 .* but rate is 120; correct rate"):
         load_markers(path, rate=120)
 
 
 def test_unit(write):
     head = TSV.split("\n")[0]
     path = write(f"{head}\n0\t0.1\t0.9\t0.1\t0.2\t0.4\t0.1\n")
-    with pytest.raises(ValueError, match=r"0.5 apart, .* like m instead .* unit='m'"):
+    with pytest.raises(ValueError, match=r"0.5 apart, like m instead .* unit='m'"):
         load_markers(path)
     assert load_markers(path, unit="m").unit == "m"
     assert load_markers(path, unit="mm").unit == "mm"
@@ -473,11 +473,11 @@ def test_unit(write):
 @pytest.mark.parametrize(
     ("text", "options", "message"),
     [
-        ("", {}, r"trial.txt is empty"),
-        ("\n\t\n", {}, r"trial.txt is empty"),
+        ("", {}, r"line 1: found '', expected tab-separated"),
+        ("\n\t\n", {}, r"line 1: found '', expected tab-separated"),
         ("a,b,c\n1,2,3\n", {}, r"line 1: found 'a,b,c', expected tab-separated"),
         ("Time\n1\n", {}, r"line 1: found 'Time', expected"),
-        (TSV.split("\n")[0], {}, r"holds no frames after line 1"),
+        (TSV.split("\n")[0], {}, r"trial.txt: no frames after line 1;"),
         (TSV, {"markers": ["R.Knie"]}, r"no marker 'R.Knie'; .*\['R.Knee'.*holds"),
         (TSV, {"markers": ["r.knee"]}, r"did you mean one of \['R.Knee'"),
         (TSV, {"markers": ["Q"]}, r"no marker 'Q'; The file holds \['R.Hip', 'R.K"),
@@ -501,9 +501,9 @@ def test_unit(write):
         (TSV.replace("480.25", "480,25"), {}, r"line 2: '480,25' in column 'R.KneeY'"),
         (TSV.replace("R.KneeY", "R.Knee.Y2"), {}, r"column 'R.Knee.Y2' is not the X"),
         (TSV.replace("R.KneeY", "Z"), {}, r"column 'Z' is not the X, Y or Z of"),
-        (TSV.replace("R.KneeY", "R.ShinY"), {}, r"'R.Knee' lacks the column R.KneeY"),
-        (TSV.replace("R.KneeY", "R.HipY"), {}, r"'R.Hip' appears twice .*'R.HipY'"),
-        (TSV.replace("\n3\t", "\n4\t"), {}, r"line 4: Time leaps from 2 to 4"),
+        (TSV.replace("R.KneeY", "R.ShinY"), {}, r"'R.Knee' has 0 columns 'R.KneeY'"),
+        (TSV.replace("R.KneeY", "R.HipY"), {}, r"'R.Hip' has 2 columns 'R.HipY'"),
+        (TSV.replace("\n3\t", "\n4\t"), {}, r"line 4: Time goes from 2 to 4"),
         (TSV.replace("\n3\t", "\n2\t"), {}, r"line 4: Time goes from 2 to 2"),
         (TSV.replace("\n3\t", "\n1\t"), {}, r"line 4: Time goes from 2 to 1"),
         (TSV.replace("\n2\t", "\n\t"), {}, r"line 3: Time is blank"),
@@ -511,10 +511,10 @@ def test_unit(write):
         (
             seconds(["0", "0.007", "0.013", "0.027", "0.033"]),
             {},
-            r"line 5: Time leaps from 0.013 to 0.027 where",
+            r"line 5: Time goes from 0.013 to 0.027;",
         ),
         (seconds(["0", "0.007", "0.007"]), {}, r"line 4: Time goes from"),
-        (seconds(["1", "6", "11"]), {}, r"line 3: Time leaps from 1 to 6"),
+        (seconds(["1", "6", "11"]), {}, r"line 3: Time goes from 1 to 6"),
     ],
 )
 def test_bad_tab_separated_file(write, text, options, message):
@@ -530,26 +530,26 @@ def test_bad_tab_separated_file(write, text, options, message):
         ("PathFileType", "FileType", r"line 1: found 'FileType.*PathFileType"),
         ("DataRate\t", "Rate\t", r"line 3: DataRate is None, expected a number"),
         ("100.00\t100.00\t3", "fast\t100.00\t3", r"line 3: DataRate is 'fast'"),
-        ("100.00\t100.00\t3", "0\t100.00\t3", r"line 3: DataRate is 0;"),
+        ("100.00\t100.00\t3", "0\t100.00\t3", r"DataRate must be .* positive .* got 0"),
         ("100.00\t100.00\t3", "50\t100.00\t3", r"by 100 .* DataRate in line 3 is 50;"),
-        ("\t3\t2\tmm", "\t4\t2\tmm", r"line 9: .* 3 frames, but NumFrames .* is 4"),
-        ("\t3\t2\tmm", "\t3\t3\tmm", r"line 4: found 2 markers, .* line 3 is 3"),
-        ("\tmm\t", "\tinch\t", r"line 3: Units is 'inch'; convert"),
-        ("\tUnits\t", "\tunit\t", r"line 3: Units is None"),
+        ("\t3\t2\tmm", "\t4\t2\tmm", r"found 3 frames, but NumFrames .* is 4"),
+        ("\t3\t2\tmm", "\t3\t3\tmm", r"NumMarkers is 3, .* 2 names and 6 columns"),
+        ("\tmm\t", "\tinch\t", r"line 3: Units must be .*'m', got 'inch'"),
+        ("\tUnits\t", "\tunit\t", r"line 3: Units must be .*'m', got ''"),
         ("Frame#\t", "#\t", r"line 4: found '#.*expected 'Frame#', 'Time'"),
-        ("R.Knee\t\t", "R.Hip\t\t", r"lines 4 and 5: marker 'R.Hip' appears twice"),
+        ("R.Knee\t\t", "R.Hip\t\t", r"marker 'R.Hip' has 2 columns 'R.HipX'"),
         (
             "Y2\tZ2",
             "Y2",
-            "line 5: found 5 columns, expected X, Y and Z of",
+            r"lines 3 to 5: .* 2 names and 5 columns, not 3 for each",
         ),
-        ("Y1\t", "Q1\t", r"lines 4 and 5: marker 'R.Hip' lacks the column R.HipY"),
-        ("\tZ2\n", "\tZ2\tX3\n", r"line 5: found 7 columns, expected X, Y and Z"),
+        ("Y1\t", "Q1\t", r"marker 'R.Hip' has 0 columns 'R.HipY'"),
+        ("\tZ2\n", "\tZ2\tX3\n", r"2 names and 7 columns, not 3 for each"),
         ("\t481\t", "\t\t", r"'R.Knee' in 1 frames, first in line 8"),
         ("\t481\t", "\tx\t", r"line 8: 'x' in column 'R.KneeY'"),
         ("\t481\t", "\t", r"line 8: found 7 fields .* expected 8"),
         ("0.010", "0.000", r"line 8: Time goes from"),
-        ("0.020", "0.030", r"line 9: Time leaps from 0.01 to 0.03"),
+        ("0.020", "0.030", r"line 9: Time goes from 0.01 to 0.03"),
     ],
 )
 def test_bad_trc_file(write, old, new, message):
@@ -560,7 +560,7 @@ def test_bad_trc_file(write, old, new, message):
 
 
 def test_unit_must_not_contradict_the_trc_header(write):
-    with pytest.raises(ValueError, match=r"gait.trc, line 3: .* 'mm' but unit='m'"):
+    with pytest.raises(ValueError, match=r"gait.trc: line 3: .* 'mm' but unit='m'"):
         load_markers(write(TRC, "gait.trc"), unit="m")
 
 
@@ -568,14 +568,14 @@ def test_truncated_trc_and_binary_file(write, tmp_path):
     with pytest.raises(ValueError, match="expected the five lines"):
         load_markers(write("PathFileType\t4\n"))
     (tmp_path / "movie.bin").write_bytes(bytes(range(256)))
-    with pytest.raises(ValueError, match=r"movie.bin, line 1: found"):
+    with pytest.raises(ValueError, match=r"movie.bin: line 1: found"):
         load_markers(tmp_path / "movie.bin")
 
 
 def test_missing_file(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"nowhere.txt is not a file"):
+    with pytest.raises(FileNotFoundError, match=r"No such file.*nowhere.txt"):
         load_markers(tmp_path / "nowhere.txt")
-    with pytest.raises(FileNotFoundError, match="is not a file"):
+    with pytest.raises(OSError, match=tmp_path.name):
         load_markers(tmp_path)
 
 

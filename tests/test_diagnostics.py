@@ -455,7 +455,7 @@ def test_dimension_is_a_matter_of_scale():
 def test_dimension_refuses_what_is_too_little():
     X = np.random.default_rng(5).standard_normal((100, 2))
     for few in (X[:35], np.repeat(X[:35], 9, axis=0), np.ones((500, 2))):
-        with pytest.raises(ValueError, match=r"distinct rows; .* needs at least 36"):
+        with pytest.raises(ValueError, match=r"distinct rows, .* dimension needs 36;"):
             intrinsic_dimension(few)
     assert np.isfinite(intrinsic_dimension(X[:36])).all()
     for n_points in (17, 18.0, True):
@@ -600,7 +600,7 @@ def test_digits_are_logarithms_of_condition_numbers():
     most = -np.log10(np.finfo(float).eps)
     assert_allclose(digits_lost([1e15, 1e17, np.inf]), [15, most, most])
     for number in (0.5, np.nan, [10, -1]):
-        with pytest.raises(ValueError, match="condition_number must be 1 or more"):
+        with pytest.raises(ValueError, match="condition_number must be >= 1"):
             digits_lost(number)
 
 
@@ -910,7 +910,7 @@ def test_dimension_is_measured_where_it_is_not_given(orbit, later):
     torus = convergence_study(model, X, y, [1.0, 0.7], X[:50] + 1e-3, y[:50])
     assert torus.dimension == 2
     assert torus.guaranteed_slope == 1.5  # s = 3.5 - (4 - 2) / 2 = 2.5, less m / 2
-    with pytest.raises(ValueError, match=r"30 distinct rows.*Give the dimension"):
+    with pytest.raises(ValueError, match=r"30 distinct rows.*or the dimension itself"):
         convergence_study(model, X[:30], y[:30], [1.0, 0.7], X, y)
 
 
@@ -1030,7 +1030,7 @@ def test_conditioning_study_refuses_bad_input(orbit):
     ):
         with pytest.raises(ValueError, match=message):
             conditioning_study(X=orbit.X, **{"dimension": 1, **good, name: value})
-    with pytest.raises(ValueError, match="Give the dimension"):
+    with pytest.raises(ValueError, match="or the dimension itself"):
         conditioning_study(X=orbit.X[:30], **good)
 
 
@@ -1288,7 +1288,7 @@ def test_numbers_of_folds_keep_trajectories_whole():
         model, data.X, data.y, groups=data.groups, cv=TrajectoryKFold(3)
     )
     assert_array_equal(by_number.fold_ratio, by_splitter.fold_ratio)
-    with pytest.raises(ValueError, match="leaves nothing to learn from"):
+    with pytest.raises(ValueError, match=r"^cv .* at least 2, got 1"):
         calibration_study(model, data.X, data.y, groups=np.zeros(180))
     with pytest.raises(ValueError, match="has no return_std"):
         calibration_study(LinearRegression(), data.X, data.y)
@@ -1405,7 +1405,7 @@ def test_searches_learn_of_the_groups_and_nest():
     assert calibration_study(nested, data.X, data.y).ratio == pytest.approx(
         calibration_study(scaled, data.X, data.y).ratio
     )
-    with pytest.raises(ValueError, match="must not be a search"):
+    with pytest.raises(ValueError, match="is a search"):
         convergence_study(search, data.X, data.y, [0.4], data.X, data.y)
 
 

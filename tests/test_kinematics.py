@@ -164,11 +164,15 @@ def _with(marker, frame, value):
     [
         (_with("knee", (3, 1), np.nan), r"knee holds NaN .* 1 of 200 .* frame 3"),
         (_with("ankle", 7, np.inf), r"ankle holds NaN or infinity .* frame 7"),
-        (lambda m: m.update(hip=m["hip"][:-1]), r"hip 199, knee 200, ankle 200"),
-        (lambda m: m.update(hip=m["hip"][:, :2]), r"hip has shape \(200, 2\)"),
+        (
+            lambda m: m.update(hip=m["hip"][:-1]),
+            r"'hip': \(199, 3\), 'knee': \(200, 3\), 'an",
+        ),
+        (lambda m: m.update(hip=m["hip"][:, :2]), r"'hip': \(200, 2\), .* \(200, 3\)"),
         (lambda m: m.update(knee=[[1, 2, 3], [4]]), r"knee must be an array of num"),
-        (lambda m: m.update(hip=m["hip"][0]), r"hip has shape \(3,\)"),
-        (lambda m: m.update(hip=m["hip"][:0]), r"hip has shape \(0, 3\)"),
+        (lambda m: m.update(hip=m["hip"][0]), r"'hip': \(3,\)"),
+        (lambda m: m.update(hip=1), r"'hip': \(\), "),
+        (lambda m: m.update(hip=m["hip"][:0]), r"'hip': \(0, 3\)"),
         (lambda m: m.update(knee=m["hip"]), r"thigh has no length .* frame 0"),
         (
             lambda m: m["ankle"].__setitem__(5, m["knee"][5] + [0, 0, 99]),

@@ -1042,7 +1042,7 @@ def test_forecasts_refuse(model, operator, pendulum):
         show(operator, X, y, n_steps=2, relift=1)
 
     compare = ForecastDisplay.from_predictions
-    with pytest.raises(ValueError, match="exclude each other"):
+    with pytest.raises(ValueError, match=r"time .* excludes dt; got .* dt=0.1"):
         compare(y, y, time=y, dt=0.1)
     with pytest.raises(ValueError, match="one entry for each of 100"):
         compare(y, y, time=y[1:])
@@ -1054,7 +1054,7 @@ def test_forecasts_refuse(model, operator, pendulum):
         compare(y, y, bound=y[1:])
     with pytest.raises(ValueError, match="half the width of the band, got -1"):
         compare(y, y, bound=np.full(100, -1.0))
-    with pytest.raises(ValueError, match="output=1 is not among the outputs of y_true"):
+    with pytest.raises(ValueError, match="output=1 is not among the 1 outputs of y_tr"):
         compare(y, y, output=1)
 
 

@@ -1,9 +1,7 @@
 """Marker files: the tab-separated format of Fukuchi et al., and OpenSim's TRC."""
 
-from __future__ import annotations
-
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
@@ -29,9 +27,9 @@ class _Header(NamedTuple):
     columns: dict[str, list[int]]  # X, Y and Z column of each marker
     n_lines: int
     time_column: int
-    rate: float | None = None
+    rate: float
     unit: str | None = None
-    n_frames: int | None = None
+    n_frames: float | None = None
 
 
 _Rows = list[tuple[int, list[str]]]  # number of a line, from 1, and its fields
@@ -140,251 +138,199 @@ def load_markers(
     check_number(rate, "rate", positive=True)
     check_choice(unit, "unit", (None, *UNITS))
     where = os.fspath(path)
-    lines = _read_lines(Path(path))
-    is_trc = where.lower().endswith(".trc") or lines[0].startswith("PathFileType")
-    header = _trc_header(lines, where) if is_trc else _tsv_header(lines, where)
-    names = _select(markers, header.columns, where)
-    if unit is not None and header.unit not in (None, unit):
-        raise ValueError(
-            f"{where}, line 3: the unit is {header.unit!r} but unit={unit!r}; leave "
-            "unit out, or correct the header."
-        )
-
-    rows = _rows(lines, header, where)
-    frames = _frame_numbers(rows, header, float(rate), where)
-    positions = _positions(rows, header, names, where)
-    if header.unit is None and unit is None:
-        _check_millimetres(positions, where)
-    frame_rate = float(rate) if header.rate is None else header.rate
+    # Bytes that cannot be decoded matter only where a name or number is expected.
+    text = Path(path).read_text(encoding="utf-8-sig", errors="replace")
+    lines = text.split("\n")
+    is_trc = where.lower().endswith(".trc") or text.startswith("PathFileType")
+    try:
+        header = _trc_header(lines) if is_trc else _tsv_header(lines, float(rate))
+        names = _select(markers, list(header.columns))
+        if header.unit is not None and unit not in (None, header.unit):
+            raise ValueError(
+                f"line 3: the unit is {header.unit!r} but unit={unit!r}; leave unit "
+                "out, or correct the header."
+            )
+        rows = _rows(lines, header)
+        frames = _frame_numbers(rows, header)
+        positions = _positions(rows, header, names)
+        if header.unit is None and unit is None:
+            _check_millimetres(positions)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from error
     units = header.unit or unit or "mm"
     return Bunch(
         markers=positions,
         names=names,
-        time=frames / frame_rate,
-        rate=frame_rate,
+        time=frames / header.rate,
+        rate=header.rate,
         unit=units,
         filename=where,
-        DESCR=f"{len(names)} markers in {len(frames)} frames at {frame_rate:g} Hz, "
+        DESCR=f"{len(names)} markers in {len(frames)} frames at {header.rate:g} Hz, "
         f"coordinates in {units}, read from {where}",
     )
 
 
-def _read_lines(path: Path) -> list[str]:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} is not a file; check the path and the name.")
-    # Bytes that cannot be decoded matter only where a name or number is expected.
-    lines = path.read_text(encoding="utf-8-sig", errors="replace").split("\n")
-    if not any(line.strip() for line in lines):
-        raise ValueError(f"{path} is empty; export the markers again.")
-    return lines
-
-
-def _tsv_header(lines: list[str], where: str) -> _Header:
+def _tsv_header(lines: list[str], rate: float) -> _Header:
     """Read the line of column names of a tab-separated file."""
     labels = _cells(lines[0])
     if labels[0].lower() != "time" or len(labels) == 1:
         raise ValueError(
-            f"{where}, line 1: found {lines[0][:40]!r}, expected tab-separated column "
-            "names 'Time', 'NAMEX', 'NAMEY', 'NAMEZ', ...; or a TRC file, which begins "
-            "with 'PathFileType'."
+            f"line 1: found {lines[0][:40]!r}, expected tab-separated names 'Time', "
+            "'NAMEX', 'NAMEY', 'NAMEZ', ...; TRC files begin with 'PathFileType'."
         )
     for label in labels[1:]:
         if len(label) == 1 or label[-1:] not in ("X", "Y", "Z"):
             raise ValueError(
-                f"{where}, line 1: column {label!r} is not the X, Y or Z of a marker; "
-                "name it so, or remove the column."
+                f"line 1: column {label!r} is not the X, Y or Z of a marker; name it "
+                "so, or remove the column."
             )
-    return _Header(labels, _columns(labels, 1, f"{where}, line 1"), 1, 0)
+    return _Header(labels, _columns(labels, 1), 1, 0, rate)
 
 
-def _trc_header(lines: list[str], where: str) -> _Header:
+def _trc_header(lines: list[str]) -> _Header:
     """Read the five lines of the head of a TRC file."""
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):
         raise ValueError(
-            f"{where}, line 1: found {lines[0][:40]!r}, expected the five lines of a "
-            "TRC header, the first beginning with 'PathFileType'."
+            f"line 1: found {lines[0][:40]!r}, expected the five lines of a TRC "
+            "header, the first beginning with 'PathFileType'."
         )
     meta = dict(zip(_cells(lines[1]), _cells(lines[2]), strict=False))
-    rate = _header_number(meta, "DataRate", where)
-    n_frames = _header_number(meta, "NumFrames", where)
-    n_markers = _header_number(meta, "NumMarkers", where)
-    if not 0 < rate < np.inf:
-        raise ValueError(
-            f"{where}, line 3: DataRate is {rate:g}; write the frames per second."
-        )
+    numbers = []
+    for key in ("DataRate", "NumFrames", "NumMarkers"):
+        try:
+            numbers.append(float(meta[key]))
+        except (KeyError, ValueError):
+            raise ValueError(
+                f"line 3: {key} is {meta.get(key)!r}, expected a number; separate "
+                "the names of line 2 and the values of line 3 by tabs."
+            ) from None
+    rate, n_frames, n_markers = numbers
     unit = meta.get("Units", "").lower()
-    if unit not in UNITS:
-        raise ValueError(
-            f"{where}, line 3: Units is {meta.get('Units')!r}; convert the file to one "
-            f"of {UNITS}."
-        )
-    head = _cells(lines[3])
+    check_number(rate, "line 3: DataRate", positive=True)
+    check_choice(unit, "line 3: Units", UNITS)
+    head, axes = _cells(lines[3]), _cells(lines[4])[2:]
     if [label[:5].lower() for label in head[:2]] != ["frame", "time"]:
         raise ValueError(
-            f"{where}, line 4: found {lines[3][:40]!r}, expected 'Frame#', 'Time' and "
-            "the names of the markers, separated by tabs."
+            f"line 4: found {lines[3][:40]!r}, expected 'Frame#', 'Time' and the names "
+            "of the markers, separated by tabs."
         )
-    names, axes = [label for label in head[2:] if label], _cells(lines[4])[2:]
-    if len(names) != n_markers:
+    names = [label for label in head[2:] if label]
+    if not n_markers == len(names) == len(axes) / 3:
         raise ValueError(
-            f"{where}, line 4: found {len(names)} markers, but NumMarkers in line 3 is "
-            f"{n_markers:g}; the file is damaged, export it again."
-        )
-    if len(axes) != 3 * len(names):
-        raise ValueError(
-            f"{where}, line 5: found {len(axes)} columns, expected X, Y and Z of each "
-            f"of the {len(names)} markers of line 4; export all three coordinates."
+            f"lines 3 to 5: NumMarkers is {n_markers:g}, but there are {len(names)} "
+            f"names and {len(axes)} columns, not 3 for each; export the file again."
         )
     labels = [f"{names[i // 3]}{axis[:1].upper()}" for i, axis in enumerate(axes)]
     labels = [*head[:2], *labels]
-    columns = _columns(labels, 2, f"{where}, lines 4 and 5")
-    return _Header(labels, columns, 5, 1, rate, unit, int(n_frames))
+    return _Header(labels, _columns(labels, 2), 5, 1, rate, unit, n_frames)
 
 
 def _cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.rstrip().split("\t")]
 
 
-def _columns(labels: list[str], first: int, where: str) -> dict[str, list[int]]:
+def _columns(labels: list[str], first: int) -> dict[str, list[int]]:
     """Return the X, Y and Z column of each marker, from the labels of columns."""
     columns = {}
     for name in dict.fromkeys(label[:-1] for label in labels[first:]):
         triple = [f"{name}{axis}" for axis in "XYZ"]
         for label in triple:
-            if label not in labels:
+            if labels.count(label) != 1:
                 raise ValueError(
-                    f"{where}: marker {name!r} lacks the column {label}; export all "
-                    "three coordinates."
-                )
-            if labels.count(label) > 1:
-                raise ValueError(
-                    f"{where}: marker {name!r} appears twice (column {label!r}); "
-                    "rename or remove one."
+                    f"marker {name!r} has {labels.count(label)} columns {label!r}, not "
+                    "one; export X, Y and Z of all markers, and give each its own name."
                 )
         columns[name] = [labels.index(label) for label in triple]
     return columns
 
 
-def _header_number(meta: dict[str, str], key: str, where: str) -> float:
-    try:
-        return float(meta[key])
-    except (KeyError, ValueError):
-        raise ValueError(
-            f"{where}, line 3: {key} is {meta.get(key)!r}, expected a number; lines 2 "
-            "and 3 of a TRC file hold names and values separated by tabs."
-        ) from None
-
-
-def _select(
-    markers: Sequence[str] | None, available: Iterable[str], where: str
-) -> list[str]:
+def _select(markers: Sequence[str] | None, names: list[str]) -> list[str]:
     """Return the names of the markers to read."""
-    names = list(available)
     if markers is None:
         return names
     if isinstance(markers, str) or len(markers) == 0:
         raise ValueError(
-            f"markers={markers!r}; pass a list of names, such as {names[:2]}, or None "
-            "for all."
+            f"markers={markers!r}; pass a list of names, such as {names[:2]}, or None."
         )
     for marker in markers:
         if marker not in names:
             close = get_close_matches(str(marker), names, n=4, cutoff=0.5)
             hint = f"did you mean one of {close}? " * bool(close)
-            raise ValueError(
-                f"{where} has no marker {marker!r}; {hint}The file holds {names}."
-            )
+            raise ValueError(f"no marker {marker!r}; {hint}The file holds {names}.")
     return list(dict.fromkeys(markers))
 
 
-def _rows(lines: list[str], header: _Header, where: str) -> _Rows:
+def _rows(lines: list[str], header: _Header) -> _Rows:
     """Split the frames into fields, one for each column."""
     n_columns = len(header.labels)
-    rows: _Rows = []
-    for number, line in enumerate(lines[header.n_lines :], header.n_lines + 1):
-        if not line.strip():
-            continue
-        fields = line.split("\t")
+    rows = [
+        (number, line.split("\t"))
+        for number, line in enumerate(lines, 1)
+        if number > header.n_lines and line.strip()
+    ]
+    for number, fields in rows:
         if len(fields) < n_columns or any(f.strip() for f in fields[n_columns:]):
             raise ValueError(
-                f"{where}, line {number}: found {len(fields)} fields separated by "
-                f"tabs, expected {n_columns}; the line is damaged, export the file "
-                "again."
+                f"line {number}: found {len(fields)} fields separated by tabs, "
+                f"expected {n_columns}; the line is damaged, export the file again."
             )
-        rows.append((number, fields))
     if not rows:
-        raise ValueError(
-            f"{where} holds no frames after line {header.n_lines}; export it again."
-        )
+        raise ValueError(f"no frames after line {header.n_lines}; export them again.")
     if header.n_frames not in (None, len(rows)):
         raise ValueError(
-            f"{where}, line {rows[-1][0]}: the file ends after {len(rows)} frames, "
-            f"but NumFrames in line 3 is {header.n_frames}; it was cut or edited, "
-            "export it again."
+            f"found {len(rows)} frames, but NumFrames in line 3 is {header.n_frames}; "
+            "the file was cut or edited, export it again."
         )
     return rows
 
 
-def _floats(rows: _Rows, column: int, header: _Header, where: str) -> Array:
+def _floats(rows: _Rows, column: int, header: _Header) -> Array:
     """Convert one column; blank fields become NaN."""
     values = np.empty(len(rows))
     for i, (line, fields) in enumerate(rows):
         text = fields[column].strip()
         try:
-            values[i] = float(text) if text else np.nan
+            values[i] = float(text or "nan")
         except ValueError:
             raise ValueError(
-                f"{where}, line {line}: {text!r} in column {header.labels[column]!r} "
-                "is not a number; write numbers with a decimal point, and leave "
-                "missing ones blank."
+                f"line {line}: {text!r} in column {header.labels[column]!r} is not a "
+                "number; write a decimal point, and leave missing numbers blank."
             ) from None
     return values
 
 
-def _frame_numbers(rows: _Rows, header: _Header, rate: float, where: str) -> Array:
+def _frame_numbers(rows: _Rows, header: _Header) -> Array:
     """Return whole frame numbers from a column of frame numbers or of seconds."""
-    stamps = _floats(rows, header.time_column, header, where)
+    stamps = _floats(rows, header.time_column, header)
     for i in np.flatnonzero(~np.isfinite(stamps)):
-        raise ValueError(
-            f"{where}, line {rows[i][0]}: Time is blank; write the frame number."
-        )
+        raise ValueError(f"line {rows[i][0]}: Time is blank; write the frame number.")
     steps = np.diff(stamps)
-    for i in np.flatnonzero(steps <= 0):
-        raise ValueError(
-            f"{where}, line {rows[i + 1][0]}: Time goes from {stamps[i]:g} to "
-            f"{stamps[i + 1]:g}; sort the frames, and keep each trial in its own file."
-        )
-    whole = header.rate is None and bool((stamps == np.rint(stamps)).all())
+    is_trc = header.n_frames is not None
+    whole = not is_trc and bool((stamps == np.rint(stamps)).all())
     usual = 1.0 if whole or len(rows) == 1 else np.sort(steps)[(len(steps) - 1) // 2]
-    for i in np.flatnonzero(steps > 1.5 * usual):
+    for i in [*np.flatnonzero(steps <= 0), *np.flatnonzero(steps > 1.5 * usual)]:
         raise ValueError(
-            f"{where}, line {rows[i + 1][0]}: Time leaps from {stamps[i]:g} to "
-            f"{stamps[i + 1]:g} where frames are {usual:g} apart; split the file where "
-            "frames are missing, or restore them."
+            f"line {rows[i + 1][0]}: Time goes from {stamps[i]:g} to "
+            f"{stamps[i + 1]:g}; sort the frames, and split the file at gaps."
         )
     if whole:
         return stamps
-    stated = rate if header.rate is None else header.rate
-    span, expected = stamps[-1] - stamps[0], len(steps) / stated
+    span, expected = stamps[-1] - stamps[0], len(steps) / header.rate
     if abs(span - expected) > RATE_TOLERANCE * expected + TIME_ROUNDING:
-        found = len(steps) / span
-        remedy = f"DataRate in line 3 is {stated:g}; correct the header"
-        if header.rate is None:
-            remedy = f"rate={stated:g}; pass rate={found:.4g}"
+        name = "DataRate in line 3" if is_trc else "rate"
         raise ValueError(
-            f"{where}: Time advances by {found:.4g} frames per second, but {remedy}."
+            f"Time advances by {len(steps) / span:.4g} frames per second, but {name} "
+            f"is {header.rate:g}; correct {name}."
         )
-    return np.rint(stamps[0] * stated) + np.arange(len(stamps))
+    return np.rint(stamps[0] * header.rate) + np.arange(len(stamps))
 
 
-def _positions(
-    rows: _Rows, header: _Header, names: list[str], where: str
-) -> dict[str, Array]:
-    """Return the coordinates of the named markers, which must have no gaps."""
+def _positions(rows: _Rows, header: _Header, names: list[str]) -> dict[str, Array]:
+    """Return the coordinates of the markers; refuse gaps, all of them at once."""
     positions: dict[str, Array] = {}
     gaps = []
     for name in names:
-        columns = [_floats(rows, i, header, where) for i in header.columns[name]]
+        columns = [_floats(rows, i, header) for i in header.columns[name]]
         positions[name] = np.column_stack(columns)
         lost = np.flatnonzero(~np.isfinite(positions[name]).all(axis=1))
         if len(lost):
@@ -392,21 +338,19 @@ def _positions(
             gaps.append(f"{name!r} in {len(lost)} frames, first in line {line}")
     if gaps:
         raise ValueError(
-            f"{where}: of {len(rows)} frames, coordinates are missing for "
-            f"{'; '.join(gaps)}. Fill the gaps where the motion was tracked, cut the "
-            "file there, or leave these markers out by markers=[...]."
+            f"of {len(rows)} frames, coordinates are missing for {'; '.join(gaps)}. "
+            "Fill the gaps, cut the file there, or leave these markers out."
         )
     return positions
 
 
-def _check_millimetres(positions: dict[str, Array], where: str) -> None:
+def _check_millimetres(positions: dict[str, Array]) -> None:
     """Refuse coordinates that are too small to be millimetres."""
     cloud = np.stack(list(positions.values()))
     extent = float(np.median(np.ptp(cloud, axis=0).max(axis=-1)))
     if len(cloud) > 1 and extent < MIN_BODY_SIZE:
         guess = "m" if extent < 3 else "cm"
         raise ValueError(
-            f"{where}: the markers of a frame are only {extent:.3g} apart, which looks "
-            f"like {guess} instead of mm; pass unit={guess!r}, or unit='mm' if they "
-            "are that close."
+            f"the markers of a frame are only {extent:.3g} apart, like {guess} instead "
+            f"of mm; pass unit={guess!r}, or unit='mm' if they are that close."
         )

@@ -190,25 +190,24 @@ def _starts(
     initial: Any, n_trajectories: int | None, rng: np.random.RandomState
 ) -> Array:
     """Return the (n_trajectories, 2) states where the trajectories begin."""
-    if not (isinstance(initial, str) and initial == "random"):
-        if isinstance(initial, str) or np.shape(initial)[-1:] != (2,):
-            raise ValueError(
-                f"initial={initial!r}; pass 'random', (momentum, position), or an "
-                "array of shape (n_trajectories, 2)."
-            )
-        if n_trajectories is not None:
-            raise ValueError(
-                f"n_trajectories={n_trajectories} goes with initial='random' only; "
-                "leave it out, one trajectory begins at each row of initial."
-            )
-        start = np.atleast_2d(initial)
-        return check_array(start, dtype=np.float64, input_name="initial")
-    size = 1 if n_trajectories is None else n_trajectories
-    check_integer(size, "n_trajectories", 1)
-    amplitude = rng.uniform(0.5, 2.5, size)
-    phase = rng.uniform(0, 2 * np.pi, size)
-    position = amplitude * np.cos(phase)
-    # Rounding may leave the difference below zero at a turning point.
-    kinetic = np.maximum(np.cos(position) - np.cos(amplitude), 0)
-    momentum = -np.sign(np.sin(phase)) * np.sqrt(2 * kinetic)
-    return np.column_stack([momentum, position])
+    if isinstance(initial, str) and initial == "random":
+        size = 1 if n_trajectories is None else n_trajectories
+        check_integer(size, "n_trajectories", 1)
+        amplitude = rng.uniform(0.5, 2.5, size)
+        phase = rng.uniform(0, 2 * np.pi, size)
+        position = amplitude * np.cos(phase)
+        # Rounding may leave the difference below zero at a turning point.
+        kinetic = np.maximum(np.cos(position) - np.cos(amplitude), 0)
+        momentum = -np.sign(np.sin(phase)) * np.sqrt(2 * kinetic)
+        return np.column_stack([momentum, position])
+    if isinstance(initial, str) or np.shape(initial)[-1:] != (2,):
+        raise ValueError(
+            f"initial={initial!r}; pass 'random', (momentum, position), or an array of "
+            "shape (n_trajectories, 2)."
+        )
+    if n_trajectories is not None:
+        raise ValueError(
+            f"n_trajectories={n_trajectories} goes with initial='random' only; leave "
+            "it out, one trajectory begins at each row of initial."
+        )
+    return check_array(np.atleast_2d(initial), dtype=np.float64, input_name="initial")

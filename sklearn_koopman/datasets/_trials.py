@@ -1,7 +1,5 @@
 """Archives of the markers of several trials."""
 
-from __future__ import annotations
-
 import os
 from zipfile import BadZipFile
 
@@ -86,10 +84,7 @@ def load_trials(path: str | os.PathLike[str]) -> Bunch:
         )
     numbers = np.unique(trial)
     return Bunch(
-        markers=[
-            {name: x[trial == number] for name, x in markers.items()}
-            for number in numbers
-        ],
+        markers=[{k: x[trial == i] for k, x in markers.items()} for i in numbers],
         trials=numbers,
         rate=float(rate),
         filename=where,

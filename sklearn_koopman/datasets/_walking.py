@@ -16,8 +16,7 @@ SYNTHETIC walking of a planar two-link leg
 Not measured on anybody: Fourier series of the gait phase in the shape of hip and knee
 flexion of human walking, with stride-to-stride variation. There is no dynamics, no
 contact with the ground, no noise and no movement of skin, and the leg stays in the
-sagittal plane. Use it to try things out and to test code; draw conclusions about
-walking from recorded motion.
+sagittal plane. Draw conclusions about walking from recorded motion only.
 """
 
 _THIGH, _SHANK = 420.0, 430.0  # mm
@@ -138,73 +137,54 @@ def make_walking(
         check_integer(n_trials, "n_trials", 1)
     check_number(rate, "rate", positive=True)
     check_number(variability, "variability")
-    pace = _check_speeds(speeds, n_trials)
+    if speeds is None:
+        speeds = np.linspace(0.6, 1.5, 4 if n_trials is None else n_trials)
+    pace = check_positive(speeds, "speeds")
+    if n_trials not in (None, len(pace)):
+        raise ValueError(
+            f"n_trials={n_trials} but speeds holds {len(pace)}; leave n_trials out, "
+            "there is one trial for each speed."
+        )
     rng = check_random_state(random_state)
-
-    trials = [_trial(v, n_strides, rate, variability, rng) for v in pace]
+    trials = []
+    for speed in pace:
+        # One value a stride boundary; the duration after the last one is not used.
+        scatter = _ar1(n_strides + 1, len(_VARIATION), rng)
+        scales = np.exp(variability * _VARIATION * scatter)
+        trials.append(_trial(speed, rate, scales))
     return Bunch(
         trajectories=[angles for angles, _, _ in trials],
-        outputs=[markers["ankle"] for _, _, markers in trials],
-        markers=[
-            {name: _in_room(hip, offset) for name, offset in markers.items()}
-            for _, hip, markers in trials
-        ],
+        outputs=[ankle for _, ankle, _ in trials],
+        markers=[markers for _, _, markers in trials],
         speeds=pace,
         rate=float(rate),
         DESCR=_DESCR,
     )
 
 
-def _check_speeds(speeds: ArrayLike | None, n_trials: int | None) -> Array:
-    """Return one speed for each trial."""
-    if speeds is None:
-        return np.linspace(0.6, 1.5, 4 if n_trials is None else n_trials)
-    pace = check_positive(speeds, "speeds")
-    if n_trials is not None and n_trials != len(pace):
-        raise ValueError(
-            f"n_trials={n_trials} but speeds holds {len(pace)}; leave n_trials out, "
-            "there is one trial for each speed."
-        )
-    return pace
-
-
 def _trial(
-    speed: float,
-    n_strides: int,
-    rate: float,
-    variability: float,
-    rng: np.random.RandomState,
+    speed: float, rate: float, scales: Array
 ) -> tuple[Array, Array, dict[str, Array]]:
-    """Return angles, hip in the room, and all markers relative to the hip."""
-    # One value a stride boundary; the duration after the last one is not used.
-    scatter = _ar1(n_strides + 1, len(_VARIATION), rng)
-    duration, hip_scale, knee_scale = np.exp(variability * _VARIATION * scatter).T
-    duration = duration[:-1] / (0.93 * np.sqrt(speed / 1.3))
+    """Return angles, the ankle relative to the hip, and the markers in the room."""
+    duration = scales[:-1, 0] / (0.93 * np.sqrt(speed / 1.3))
     strikes = np.concatenate([[0.0], np.cumsum(duration)])
     time = np.arange(np.floor(strikes[-1] * rate) + 1) / rate
-
-    def between_strikes(values: Array) -> Array:
-        # Monotone, so that the phase never runs backwards.
-        return np.asarray(PchipInterpolator(strikes, values)(time))
-
-    phase = between_strikes(np.arange(n_strides + 1.0))
-    swing = between_strikes(hip_scale) * (speed / 1.3) ** 0.3
-    bend = between_strikes(knee_scale) * (speed / 1.3) ** 0.2
+    knots = np.column_stack([np.arange(len(strikes)), scales[:, 1:]])
+    # Monotone, so that the phase never runs backwards.
+    phase, swing, bend = PchipInterpolator(strikes, knots)(time).T
+    swing = swing * (speed / 1.3) ** 0.3
+    bend = bend * (speed / 1.3) ** 0.2
     hip_flexion = np.radians(_HIP[0] + swing * (_fourier(_HIP, phase) - _HIP[0]))
     knee_flexion = np.radians(bend * _fourier(_KNEE, phase))
 
     knee = _THIGH * _below(hip_flexion)
     ankle = knee + _SHANK * _below(hip_flexion - knee_flexion)
     # The trunk is highest in mid-stance of either leg and sways once a stride.
-    hip = np.column_stack(
-        [
-            1000 * speed * time,
-            880 + 20 * np.cos(4 * np.pi * (phase - 0.3)),
-            100 + 20 * np.cos(2 * np.pi * (phase - 0.3)),
-        ]
-    )
-    angles = np.column_stack([hip_flexion, knee_flexion])
-    return angles, hip, {"hip": np.zeros_like(knee), "knee": knee, "ankle": ankle}
+    sway = 20 * np.cos(np.outer(phase - 0.3, [4 * np.pi, 2 * np.pi]))
+    hip = np.column_stack([1000 * speed * time, sway + np.array([880, 100])])
+    offsets = {"hip": np.zeros_like(knee), "knee": knee, "ankle": ankle}
+    markers = {k: hip + np.pad(x, [(0, 0), (0, 1)]) for k, x in offsets.items()}
+    return np.column_stack([hip_flexion, knee_flexion]), ankle, markers
 
 
 def _ar1(n_strides: int, n_series: int, rng: np.random.RandomState) -> Array:
@@ -218,20 +198,11 @@ def _ar1(n_strides: int, n_series: int, rng: np.random.RandomState) -> Array:
 
 def _fourier(coefficients: Array, phase: Array) -> Array:
     """Evaluate a real Fourier series of period 1."""
-    harmonics = 2 * np.pi * np.arange(1, len(coefficients) // 2 + 1)
-    waves = np.outer(phase, harmonics)
-    return (
-        coefficients[0]
-        + np.cos(waves) @ coefficients[1::2]
-        + np.sin(waves) @ coefficients[2::2]
-    )
+    mean, cosines, sines = coefficients[0], coefficients[1::2], coefficients[2::2]
+    waves = np.outer(phase, 2 * np.pi * np.arange(1, len(sines) + 1))
+    return mean + np.cos(waves) @ cosines + np.sin(waves) @ sines
 
 
 def _below(angle: Array) -> Array:
     """Unit vectors (forward, up) at an angle against the downward vertical."""
     return np.column_stack([np.sin(angle), -np.cos(angle)])
-
-
-def _in_room(hip: Array, offset: Array) -> Array:
-    """Place a point of the leg, given relative to the hip, in the room."""
-    return hip + np.column_stack([offset, np.zeros(len(offset))])

@@ -1,7 +1,5 @@
 """How far stated standard deviations agree with errors."""
 
-from __future__ import annotations
-
 from inspect import signature
 from numbers import Integral
 from typing import Any
@@ -14,7 +12,7 @@ from sklearn.utils import Bunch, indexable
 
 from .._utils._pipeline import transformed, unwrap
 from .._utils._typing import Array
-from .._utils._validation import check_positive
+from .._utils._validation import check_integer, check_positive
 from ..trajectories import TrajectoryKFold
 
 
@@ -109,11 +107,7 @@ def calibration_study(
     if cv is None:
         cv = 5 if groups is None else min(5, len(np.unique(groups)))
     if isinstance(cv, Integral):
-        if cv < 2:
-            raise ValueError(
-                f"cv={cv} leaves nothing to learn from; give groups of at least two "
-                "trajectories, or a splitter that leaves out parts of a trajectory."
-            )
+        check_integer(cv, "cv (at most the number of trajectories)", 2)
         cv = TrajectoryKFold(int(cv))
     limits = ndtri((1 + levels) / 2)
     y = np.asarray(y, dtype=np.float64)
@@ -135,22 +129,21 @@ def calibration_study(
         # No error is right for any standard deviation, zero included.
         with np.errstate(divide="ignore"):
             scaled.append(np.divide(missed, std, out=0 * missed, where=missed > 0))
-    everything = np.concatenate(scaled)
+    coverage, ratio = _agreement(np.concatenate(scaled), limits)
+    folds = [_agreement(fold, limits) for fold in scaled]
     return Bunch(
         level=levels,
-        coverage=_coverage(everything, limits),
-        fold_coverage=np.array([_coverage(fold, limits) for fold in scaled]),
-        ratio=float(_root_mean_square(everything)),
-        fold_ratio=np.array([_root_mean_square(fold) for fold in scaled]),
+        coverage=coverage,
+        fold_coverage=np.array([fold[0] for fold in folds]),
+        ratio=ratio,
+        fold_ratio=np.array([fold[1] for fold in folds]),
     )
 
 
-def _coverage(scaled: Array, limits: Array) -> Array:
-    return np.less_equal.outer(scaled, limits).mean(axis=0)
-
-
-def _root_mean_square(scaled: Array) -> Any:
-    return np.sqrt(np.mean(scaled**2))
+def _agreement(scaled: Array, limits: Array) -> tuple[Array, float]:
+    """Return the coverage at the limits and the root mean square of scaled errors."""
+    covered = np.less_equal.outer(scaled, limits).mean(axis=0)
+    return covered, float(np.sqrt(np.mean(scaled**2)))
 
 
 def _rows(X: Any, rows: Any) -> Any:

@@ -1,7 +1,5 @@
 """Condition of Gram matrices, and the digits that it costs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -166,9 +164,7 @@ def digits_lost(condition_number: Any) -> Any:
     """
     numbers = np.asarray(condition_number, dtype=np.float64)
     if not (numbers >= 1).all():
-        raise ValueError(
-            f"condition_number must be 1 or more, got {condition_number!r}."
-        )
+        raise ValueError(f"condition_number must be >= 1, got {condition_number!r}.")
     digits = np.minimum(np.log10(numbers), -np.log10(np.finfo(np.float64).eps))
     return digits if digits.ndim else float(digits)
 
@@ -207,8 +203,7 @@ def extreme_eigenvalues(
     points = check_array(centers, dtype=np.float64, input_name="centers")
     n = len(points)
     resolved = as_kernel(kernel, beta, points.shape[1])
-    sections = KernelSections(resolved, points)
-    K, _, norm = gram_matrix(sections, np.full(n, alpha))
+    K, _, norm = gram_matrix(KernelSections(resolved, points), np.full(n, alpha))
     if not np.isfinite(norm):
         raise ValueError(
             f"kernel={resolved!r} has values that are not finite on these centres; "
@@ -235,9 +230,7 @@ def _extremes(K: Array, max_dense: int) -> tuple[float, float]:
 
 def _largest(product: Callable[[Array], Array], n: int) -> float:
     """Return the largest eigenvalue of a matrix by the Lanczos method."""
-    operator = LinearOperator(
-        (n, n), matvec=lambda x: product(x.ravel()), dtype=np.float64
-    )
+    operator = LinearOperator((n, n), lambda x: product(x.ravel()), dtype=np.float64)
     # Any start but an eigenvector will do; a fixed one makes results repeatable. The
     # tolerance is that of the eigenvector: the eigenvalue is far more accurate.
     start = np.random.RandomState(0).standard_normal(n)

@@ -1,8 +1,6 @@
 """How centres and samples lie on the manifold that they come from."""
 
-from __future__ import annotations
-
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -10,15 +8,13 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 from scipy.special import digamma
-from sklearn.utils import check_array, check_random_state, gen_batches
+from sklearn.utils import check_array, check_random_state
 
 from .._utils._rows import distinct_rows
 from .._utils._typing import Array, Indices
 from .._utils._validation import check_choice, check_integer, check_magnitude
 from .._utils._warnings import warn
 
-# Rows whose nearest centres are sought at a time, which bounds the memory.
-BATCH_ROWS = 2**16
 # The dimension is estimated from the distances to this neighbour and to the one of
 # twice its order.
 NEIGHBOR_ORDER = 4
@@ -165,8 +161,8 @@ def separation_distance(
     """
     if metric == "geodesic" and reference is None:
         raise ValueError(
-            "metric='geodesic' needs reference: samples that cover the manifold, which "
-            "the paths between the centres follow."
+            "metric='geodesic' needs reference, got None; give samples that cover the "
+            "manifold: the paths between the centres follow them."
         )
     if metric == "euclidean":
         reference = centers
@@ -316,8 +312,8 @@ def intrinsic_dimension(
     smallest = 2 * (2 * NEIGHBOR_ORDER + 1)
     if len(X) < 2 * smallest:
         raise ValueError(
-            f"X has {len(X)} distinct rows; the intrinsic dimension needs at least "
-            f"{2 * smallest}, and is unreliable with fewer than some hundred."
+            f"X has {len(X)} distinct rows, but an estimate of its dimension needs "
+            f"{2 * smallest}; give more rows, or the dimension itself to a study."
         )
     if n_points is None:
         fewest = 4 if len(X) >= 160 else 2
@@ -326,7 +322,7 @@ def intrinsic_dimension(
     check_integer(n_points, "n_points", smallest)
     if n_points > len(X):
         raise ValueError(
-            f"n_points={n_points} is more than the {len(X)} distinct rows of X."
+            f"n_points={n_points} is more than the {len(X)} distinct rows."
         )
     order = check_random_state(random_state).permutation(len(X))
     dimension, n_used = _ratio_dimension(X, order, n_points)
@@ -341,7 +337,7 @@ def _ratio_dimension(X: Array, order: Indices, n_points: int) -> tuple[float, in
         points = X[order[first : first + n_points]]
         # Each point is the first of its own neighbours.
         orders = [NEIGHBOR_ORDER + 1, 2 * NEIGHBOR_ORDER + 1]
-        near = _neighbor_distances(KDTree(points), points, orders)
+        near = _neighbor_distances(points, points, orders)
         logs.append(np.log(near[:, 1] / near[:, 0]))
     ratios = np.concatenate(logs)
     mean = float(ratios.mean())
@@ -371,6 +367,70 @@ def _return_in_steps(X: Array) -> float:
     distance = float(np.median(_return_distances(X)))
     step = float(np.median(np.sqrt(np.square(np.diff(X, axis=0)).sum(axis=1))))
     return 2 * distance / step if np.isfinite(distance) else 0.0
+
+
+class _Euclidean(NamedTuple):
+    """Distances of centres through the space around the manifold."""
+
+    centers: Array
+    reference: Array
+
+    def fill_distance(self) -> float:
+        """Return the largest distance of a reference point from its nearest centre."""
+        return float(_neighbor_distances(self.centers, self.reference, [1]).max())
+
+    def separation_distance(self) -> float:
+        """Return half the smallest distance of two centres."""
+        # The nearest centre is the centre itself. A single one has no second.
+        return float(_neighbor_distances(self.centers, self.centers, [2]).min()) / 2
+
+
+class _Geodesic:
+    """Lengths of shortest paths from the centres in a graph of all points."""
+
+    def __init__(
+        self, centers: Array, reference: Array, n_neighbors: int | None
+    ) -> None:
+        nodes = np.vstack([centers, reference])
+        nodes = nodes[distinct_rows(nodes)[0]]
+        n_nodes = len(nodes)
+        n_centers = len(distinct_rows(centers)[0])  # they remain the first nodes
+        self.has_equal_centers = n_centers < len(centers)
+        if n_neighbors is None:
+            n_neighbors = int(np.clip(n_nodes // 20, 6, 20))
+        self.n_neighbors = min(n_neighbors, n_nodes - 1)
+        # The nearest node of all is the node itself.
+        found: Any = KDTree(nodes).query(nodes, k=[*range(1, self.n_neighbors + 2)])
+        length, end = (neighbors[:, 1:] for neighbors in found)
+        self.longest = length.max(axis=1, initial=0.0)
+        self.begin = np.repeat(np.arange(n_nodes), self.n_neighbors)
+        self.end, self.length = end.ravel(), length.ravel()
+        edges: Any = csr_matrix((self.length, (self.begin, self.end)), (n_nodes,) * 2)
+        self.distance, _, self.source = dijkstra(
+            edges, False, np.arange(n_centers), return_predecessors=True, min_only=True
+        )
+
+    def fill_distance(self) -> float:
+        """Return the length of the longest path from a point to its nearest centre."""
+        n_lost = int(np.isinf(self.distance).sum())
+        if n_lost:
+            raise ValueError(
+                f"{n_lost} of {len(self.distance)} points have no path to a centre "
+                f"along {self.n_neighbors} neighbours each; add centres or samples, "
+                "raise n_neighbors, or thin the reference by SeparatedCenterSelector."
+            )
+        return float(self.distance.max())
+
+    def separation_distance(self) -> float:
+        """Return half the length of the shortest path between two centres."""
+        if self.has_equal_centers:
+            return 0.0
+        # Every node has a nearest centre. The shortest path between two centres has
+        # one edge whose ends have different nearest centres.
+        crossing = self.source[self.begin] != self.source[self.end]
+        begin, end = self.begin[crossing], self.end[crossing]
+        paths = self.distance[begin] + self.length[crossing] + self.distance[end]
+        return float(paths.min(initial=np.inf)) / 2
 
 
 def measure(
@@ -409,7 +469,7 @@ def measure(
     if centers.shape[1] != reference.shape[1]:
         raise ValueError(
             f"centers has {centers.shape[1]} features, but reference has "
-            f"{reference.shape[1]}; they must be states of the same kind (and scale)."
+            f"{reference.shape[1]}; give states of the same kind and scale."
         )
     straight = _Euclidean(centers, reference)
     if metric == "euclidean":
@@ -420,96 +480,16 @@ def measure(
     # Twice: neighbourhoods have to reach well into the next passage.
     if np.median(paths.longest) < 2 * apart < 2 * straight.fill_distance():
         warn(
-            f"The {paths.n_neighbors} neighbours of most points are mostly the samples "
-            f"just before and after, while the motion returns at a distance of "
-            f"{apart:.2g}: paths follow the trajectory. If its passages lie on a "
-            "surface rather than on a curve, thin the reference: "
-            f"reference[SeparatedCenterSelector({apart:.2g}).fit(reference)."
-            "center_indices_]."
+            f"The paths follow the trajectory: the {paths.n_neighbors} neighbours of "
+            "most points are the samples just before and after. If the motion covers a "
+            f"surface, thin the reference by SeparatedCenterSelector({apart:.2g})."
         )
     return paths
 
 
-class _Euclidean:
-    """Distances of centres through the space around the manifold."""
-
-    def __init__(self, centers: Array, reference: Array) -> None:
-        self.centers, self.reference = centers, reference
-        self.tree = KDTree(centers)
-
-    def fill_distance(self) -> float:
-        """Return the largest distance of a reference point from its nearest centre."""
-        return max(
-            float(_neighbor_distances(self.tree, self.reference[rows], [1]).max())
-            for rows in gen_batches(len(self.reference), BATCH_ROWS)
-        )
-
-    def separation_distance(self) -> float:
-        """Return half the smallest distance of two centres."""
-        # The nearest centre is the centre itself. A single one has no second.
-        return float(_neighbor_distances(self.tree, self.centers, [2]).min()) / 2
-
-
-class _Geodesic:
-    """Lengths of shortest paths from the centres in a graph of all points."""
-
-    def __init__(
-        self, centers: Array, reference: Array, n_neighbors: int | None
-    ) -> None:
-        nodes = np.vstack([centers, reference])
-        nodes = nodes[distinct_rows(nodes)[0]]
-        n_nodes = len(nodes)
-        n_centers = len(distinct_rows(centers)[0])  # they remain the first nodes
-        self.has_equal_centers = n_centers < len(centers)
-        if n_neighbors is None:
-            n_neighbors = int(np.clip(n_nodes // 20, 6, 20))
-        self.n_neighbors = min(n_neighbors, n_nodes - 1)
-        # The nearest node of all is the node itself.
-        near = [*range(1, self.n_neighbors + 2)]
-        found: Any = KDTree(nodes).query(nodes, k=near)
-        length, end = (neighbors[:, 1:] for neighbors in found)
-        self.longest = length.max(axis=1, initial=0.0)
-        self.begin = np.repeat(np.arange(n_nodes), self.n_neighbors)
-        self.end, self.length = end.ravel(), length.ravel()
-        edges: Any = csr_matrix(
-            (self.length, (self.begin, self.end)), shape=(n_nodes, n_nodes)
-        )
-        self.distance, _, self.source = dijkstra(
-            edges,
-            directed=False,
-            indices=np.arange(n_centers),
-            min_only=True,
-            return_predecessors=True,
-        )
-
-    def fill_distance(self) -> float:
-        """Return the length of the longest path from a point to its nearest centre."""
-        n_lost = int(np.isinf(self.distance).sum())
-        if n_lost:
-            raise ValueError(
-                f"{n_lost} of {len(self.distance)} points have no path to a centre "
-                f"along {self.n_neighbors} neighbours each: they lie on a part of the "
-                "manifold without centres, or the samples are unevenly spread. Add "
-                "centres or samples there, raise n_neighbors, or thin the reference "
-                "by SeparatedCenterSelector."
-            )
-        return float(self.distance.max())
-
-    def separation_distance(self) -> float:
-        """Return half the length of the shortest path between two centres."""
-        if self.has_equal_centers:
-            return 0.0
-        # Every node has a nearest centre. The shortest path between two centres has
-        # one edge whose ends have different nearest centres.
-        crossing = self.source[self.begin] != self.source[self.end]
-        begin, end = self.begin[crossing], self.end[crossing]
-        paths = self.distance[begin] + self.length[crossing] + self.distance[end]
-        return float(paths.min(initial=np.inf)) / 2
-
-
-def _neighbor_distances(tree: KDTree, X: Array, orders: list[int]) -> Array:
-    """Return the distances to the nearest points of a tree that have these orders."""
-    return np.asarray(tree.query(X, k=orders)[0], dtype=np.float64)
+def _neighbor_distances(points: Array, X: Array, orders: list[int]) -> Array:
+    """Return the distances from rows of X to the points of these orders of nearness."""
+    return np.asarray(KDTree(points).query(X, k=orders)[0], dtype=np.float64)
 
 
 def _checked(X: Any, name: str) -> Array:

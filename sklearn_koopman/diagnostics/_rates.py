@@ -1,22 +1,10 @@
 """Rates of convergence that the theory guarantees."""
 
-from __future__ import annotations
-
 from numbers import Real
 from typing import Any
 
 import numpy as np
-from sklearn.gaussian_process.kernels import (
-    RBF,
-    ConstantKernel,
-    Exponentiation,
-    Kernel,
-    Matern,
-    Product,
-    RationalQuadratic,
-    Sum,
-    WhiteKernel,
-)
+from sklearn.gaussian_process import kernels as gp
 from sklearn.utils import Bunch
 
 from .._utils._validation import check_integer, check_number
@@ -112,8 +100,8 @@ def sobolev_rates(kernel: Any, n_features: int, dimension: float) -> Bunch:
     check_number(dimension, "dimension", positive=True)
     if dimension > n_features:
         raise ValueError(
-            f"dimension={dimension} is more than n_features={n_features}: a manifold "
-            "has at most the dimension of the space around it."
+            f"dimension={dimension} is more than n_features={n_features}; give the "
+            "dimension of the manifold, which is at most that of the space around it."
         )
     if isinstance(kernel, Real):
         check_number(kernel, "kernel", positive=True)
@@ -151,24 +139,23 @@ def sobolev_rates(kernel: Any, n_features: int, dimension: float) -> Bunch:
     )
 
 
-def _order(kernel: Kernel, n_features: int) -> float:
+def _order(kernel: gp.Kernel, n_features: int) -> float:
     """Return the Sobolev order of a kernel in R^d; NaN if it is not known."""
     if isinstance(kernel, RadialKernel):
         return kernel.sobolev_order(n_features)
-    if isinstance(kernel, Matern):
+    if isinstance(kernel, gp.Matern):
         return float(kernel.nu) + n_features / 2
-    if isinstance(kernel, RBF | RationalQuadratic):
+    if isinstance(kernel, gp.RBF | gp.RationalQuadratic):
         return np.inf
+    if isinstance(kernel, gp.Exponentiation):
+        return _order(kernel.kernel, n_features)
+    if not isinstance(kernel, gp.Sum | gp.Product):
+        return np.nan
     # The native space of a sum is the sum of the spaces. The transform of a product is
     # a convolution, which decays like the slower one. A constant changes the order of
     # neither, and noise does not change that of a sum.
-    if isinstance(kernel, Sum | Product):
-        neutral: Any = ConstantKernel
-        if isinstance(kernel, Sum):
-            neutral = ConstantKernel | WhiteKernel
-        parts = [k for k in (kernel.k1, kernel.k2) if not isinstance(k, neutral)]
-        orders = [_order(part, n_features) for part in parts]
-        return float(np.min(orders)) if orders else np.nan  # NaN if one is
-    if isinstance(kernel, Exponentiation):
-        return _order(kernel.kernel, n_features)
-    return np.nan
+    is_sum = isinstance(kernel, gp.Sum)
+    neutral: Any = gp.ConstantKernel | gp.WhiteKernel if is_sum else gp.ConstantKernel
+    parts = [k for k in (kernel.k1, kernel.k2) if not isinstance(k, neutral)]
+    orders = [_order(part, n_features) for part in parts]
+    return float(np.min(orders)) if orders else np.nan  # NaN if one is

@@ -1,7 +1,5 @@
 """Studies of convergence and conditioning on the user's data."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -155,15 +153,15 @@ rms_error, condition_number : ndarray of shape (n_separations,)
     truth, learned = _outputs(y_test, X_test), _outputs(y, X)
     if truth.shape[1:] != learned.shape[1:]:
         raise ValueError(
-            f"y_test has the shape {truth.shape}, which does not fit that of y, "
-            f"{learned.shape}."
+            f"y_test has the shape {truth.shape} and y {learned.shape}; give both the "
+            "same outputs."
         )
     separations = check_positive(separations, "separations")
     _check_confidence(confidence)
     settings = _separation_setting(estimator)
     rates: Any = None
     centers: Any = None
-    warned: set[str] = set()
+    messages: dict[str, Any] = {}
     lines: list[dict[str, Any]] = []
     for separation in separations:
         model = clone(estimator).set_params(**settings(separation))
@@ -174,40 +172,34 @@ rms_error, condition_number : ndarray of shape (n_separations,)
             final, front = unwrap(model)
             if not hasattr(final, "centers_"):
                 raise ValueError(
-                    "estimator must be a KoopmanKernelRegressor, or a pipeline that "
-                    "ends in one, that is fitted to states and not to distances, got "
-                    f"{final!r}."
+                    "estimator must be a KoopmanKernelRegressor, or end in one, fitted "
+                    f"to states and not to distances, got {final!r}."
                 )
             states, test = (np.asarray(transformed(front, x)) for x in (X, X_test))
             if rates is None:  # a wrong dimension should not cost all fits
-                if dimension is None:
-                    dimension = _whole_dimension(states)
+                dimension = _whole_dimension(states) if dimension is None else dimension
                 rates = sobolev_rates(final.kernel_, states.shape[1], dimension)
             reference = np.vstack([states, test])
             previous, centers = centers, final.centers_
             distances = measure(centers, reference, metric, trajectory=states)
-        is_dropped = [issubclass(one.category, LinAlgWarning) for one in caught]
-        for one, silent in zip(caught, is_dropped, strict=True):
-            if not silent and str(one.message) not in warned:
-                warned.add(str(one.message))
-                warn(str(one.message), one.category)
+        messages |= {str(warning.message): warning.category for warning in caught}
+        is_sound = not any(issubclass(w.category, LinAlgWarning) for w in caught)
         is_exact = final.method == "interpolation"
         nugget = final.alpha if is_exact else 0.0
-        lines.append(
-            {
-                "separation": separation,
-                "n_centers": len(centers),
-                "fill_distance": distances.fill_distance(),
-                "separation_distance": distances.separation_distance(),
-                "sup_error": float(error.max()),
-                "rms_error": float(np.sqrt(np.mean(error**2))),
-                "condition_number": condition_number(
-                    final.kernel_, centers, alpha=nugget
-                ),
-                "used": not any(is_dropped)
-                and (previous is None or not np.array_equal(previous, centers)),
-            }
-        )
+        line = {
+            "separation": separation,
+            "n_centers": len(centers),
+            "fill_distance": distances.fill_distance(),
+            "separation_distance": distances.separation_distance(),
+            "sup_error": float(error.max()),
+            "rms_error": float(np.sqrt(np.mean(error**2))),
+            "condition_number": condition_number(final.kernel_, centers, alpha=nugget),
+            "used": is_sound and not np.array_equal(previous, centers),
+        }
+        lines.append(line)
+    for message, category in messages.items():
+        if not issubclass(category, LinAlgWarning):
+            warn(message, category)
     table = {name: np.array([line[name] for line in lines]) for name in lines[0]}
     used = table["used"]
     size = float(np.abs(truth).max())
@@ -331,12 +323,8 @@ def conditioning_study(
     _check_confidence(confidence)
     if not kernels:
         raise ValueError("kernels is empty; give a name or a kernel at least.")
-    if dimension is None:
-        dimension = _whole_dimension(X)
-    expected = [
-        sobolev_rates(kernel, X.shape[1], dimension).condition_exponent
-        for kernel in kernels
-    ]
+    dimension = _whole_dimension(X) if dimension is None else dimension
+    rates = [sobolev_rates(kernel, X.shape[1], dimension) for kernel in kernels]
     chosen, about = _choose(X, separations)
     q = np.array([separation_distance(centers) for centers in chosen])
     shape = (len(kernels), len(betas))
@@ -347,9 +335,8 @@ def conditioning_study(
         finite = np.flatnonzero(np.isfinite(condition[i, j]) & np.isfinite(q))
         finite = finite[np.argsort(q[finite])]
         finest = finite[: max(-(-len(finite) // 2), 3)]
-        slope[i, j], interval[i, j] = _slope(
-            q[finest], condition[i, j, finest], confidence, fewest=3
-        )
+        fit = _slope(q[finest], condition[i, j, finest], confidence, fewest=3)
+        slope[i, j], interval[i, j] = fit
     return Bunch(
         kernel=[k if isinstance(k, str) else repr(k) for k in kernels],
         beta=betas,
@@ -360,7 +347,7 @@ def conditioning_study(
         digits_lost=digits_lost(condition),
         slope=slope,
         slope_interval=interval,
-        expected_slope=np.array(expected),
+        expected_slope=np.array([rate.condition_exponent for rate in rates]),
         dimension=dimension,
         confidence=confidence,
     )
@@ -502,23 +489,17 @@ def _check_confidence(confidence: Any) -> None:
 
 
 def _whole_dimension(X: Array) -> int:
-    try:
-        estimate, _ = intrinsic_dimension(X)
-    except ValueError as error:
-        raise ValueError(f"{error} Give the dimension.") from error
-    return int(np.clip(np.rint(estimate), 1, X.shape[1]))
+    return int(np.clip(np.rint(intrinsic_dimension(X)[0]), 1, X.shape[1]))
 
 
 def _slope(
     x: Array, y: Array, confidence: float, fewest: int = 2
 ) -> tuple[float, Array]:
     """Fit a straight line to logarithms; return its slope and the slope's interval."""
-    nothing = np.full(2, np.nan)
     if len(x) < fewest or np.ptp(x) == 0:
-        return np.nan, nothing
+        return np.nan, np.full(2, np.nan)
     line = linregress(np.log(x), np.log(y))
-    if len(x) == 2:
-        return float(line.slope), nothing
+    # Two points leave no degree of freedom, for which `ppf` is NaN.
     width = t.ppf((1 + confidence) / 2, len(x) - 2) * line.stderr
     return float(line.slope), line.slope + width * np.array([-1.0, 1.0])
 
@@ -527,16 +508,13 @@ def _separation_setting(estimator: Any) -> Callable[[float], dict[str, Any]]:
     """Return the function from a separation to the parameters that set it."""
     if hasattr(estimator, "refit"):
         raise ValueError(
-            "estimator must not be a search, which would choose anew for each "
+            f"estimator={estimator!r} is a search, which would choose anew for each "
             "separation; fit it first, and give its best_estimator_."
         )
     values = estimator.get_params()
     nested = [name for name in values if f"__{name}".endswith("__centers__separation")]
-    unset = [
-        name
-        for name, value in values.items()
-        if f"__{name}".endswith("__centers") and value is None
-    ]
+    centers = [name for name in values if f"__{name}".endswith("__centers")]
+    unset = [name for name in centers if values[name] is None]
     if len(nested) == 1:
         return lambda separation: {nested[0]: separation}
     if len(unset) == 1:
@@ -549,8 +527,7 @@ def _separation_setting(estimator: Any) -> Callable[[float], dict[str, Any]]:
 
 def _outputs(y: Any, X: Any) -> Array:
     check_consistent_length(X, y)
-    y = check_array(y, ensure_2d=False, dtype=np.float64, input_name="y")
-    return np.asarray(y, dtype=np.float64)
+    return np.asarray(check_array(y, ensure_2d=False, dtype=np.float64, input_name="y"))
 
 
 def _lengths(vectors: Array) -> Array:
@@ -579,10 +556,8 @@ def above_rounding(h: Array, error: Array, size: float) -> Mask:
     """
     order = np.argsort(-h, kind="stable")
     ordered = error[order]
-    smallest_before = np.minimum.accumulate(np.append(np.inf, ordered))[:-1]
-    smallest_from_here = np.minimum.accumulate(ordered[::-1])[::-1]
+    best_before = np.minimum.accumulate(np.append(np.inf, ordered))[:-1]
+    best_after = np.minimum.accumulate(ordered[::-1])[::-1]  # this one included
     stalled = np.empty(len(h), dtype=bool)
-    stalled[order] = (ordered < STALLED_ERROR * size) & (
-        smallest_from_here > smallest_before / 2
-    )
+    stalled[order] = (ordered < STALLED_ERROR * size) & (best_after > best_before / 2)
     return (error > ROUNDING_ERROR * size) & ~stalled

@@ -141,8 +141,8 @@ class CenterSelectionDisplay(Display):  # numpydoc ignore=PR02
         centers = find_centers(final)
         if centers is None:
             raise ValueError(
-                f"estimator={final!r} has no centres that are states; pass a fitted "
-                "SeparatedCenterSelector, or a model fitted to the states."
+                f"estimator={final!r} has no centres that are states; pass a selector "
+                "or a model that is fitted to the states."
             )
         samples = check_array(X, dtype=np.float64, input_name="X")
         if samples.shape[1] != centers.shape[1]:
@@ -150,10 +150,13 @@ class CenterSelectionDisplay(Display):  # numpydoc ignore=PR02
                 f"X has {samples.shape[1]} features, but the centres have "
                 f"{centers.shape[1]}; pass the states that the estimator was fitted to."
             )
-        _check_features(features, samples.shape[1])
-        selector = (
-            final if hasattr(final, "separation") else final.get_params().get("centers")
-        )
+        known = range(samples.shape[1])
+        if np.shape(features) != (2,) or len({*features} & {*known}) != 2:
+            raise ValueError(
+                f"features must be two different columns of X, from 0 to {known[-1]}, "
+                f"got {features!r}."
+            )
+        selector = final.get_params().get("centers", final)
         return cls(
             samples=samples,
             centers=centers,
@@ -194,58 +197,39 @@ class CenterSelectionDisplay(Display):  # numpydoc ignore=PR02
         from matplotlib.patches import Circle
 
         columns = list(self.features)
-        centers = self.centers[:, columns]
-        n_samples, n_centers = len(self.samples), len(centers)
+        samples, centers = self.samples[:, columns], self.centers[:, columns]
+        n_samples, n_centers = len(samples), len(centers)
         # Thousands of points leave no room for large dots.
         size = float(np.clip(60 / np.sqrt(n_centers), 2, 5.5))
         sample_size = float(np.clip(100 / np.sqrt(n_samples), 1, 3))
         dots: dict[str, Any] = {"linestyle": "none", "marker": "o"}
-        style: dict[str, Any]
-        style = {"color": "0.7", "markersize": sample_size, "label": "samples"}
-        (self.samples_,) = ax.plot(
-            *self.samples[:, columns].T, **merge_style(dots | style, sample_kw)
-        )
-        style = {"color": BLUE, "markersize": size, "label": "centres"}
-        (self.centers_,) = ax.plot(*centers.T, **merge_style(dots | style, center_kw))
+        style = dots | {"color": "0.7", "markersize": sample_size, "label": "samples"}
+        (self.samples_,) = ax.plot(*samples.T, **merge_style(style, sample_kw))
+        style = dots | {"color": BLUE, "markersize": size, "label": "centres"}
+        (self.centers_,) = ax.plot(*centers.T, **merge_style(style, center_kw))
         handles = [self.samples_, self.centers_]
         self.circles_ = None
         is_plane = self.centers.shape[1] == 2
         if self.separation and is_plane:
             style = {"facecolor": "none", "edgecolor": BLUE, "linewidth": size / 8}
-            self.circles_ = PatchCollection(
-                [Circle((x, y), self.separation) for x, y in centers],
-                **merge_style(
-                    style | {"alpha": 0.6, "zorder": 1.5}, circle_kw, collection=True
-                ),
-            )
+            style |= {"alpha": 0.6, "zorder": 1.5}
+            style = merge_style(style, circle_kw, collection=True)
+            circles = [Circle(center, self.separation) for center in centers]
+            self.circles_ = PatchCollection(circles, **style)
             ax.add_collection(self.circles_)
             # A collection of patches has no entry in a legend of its own.
-            style = {"markersize": 9, "markerfacecolor": "none"}
+            style = dots | {"markersize": 9, "markerfacecolor": "none"}
             style["markeredgecolor"] = self.circles_.get_edgecolor()[0]
             label = f"separation {self.separation:.3g}"
-            handles.append(Line2D([], [], label=label, **dots, **style))
+            handles.append(Line2D([], [], label=label, **style))
         if is_plane:
             ax.set_aspect("equal", adjustable="datalim")
         names = self.feature_names or [f"x{i}" for i in range(self.centers.shape[1])]
-        distances = {
-            "separation distance": self.separation_distance,
-            "fill distance": self.fill_distance,
-        }
-        details = [f"{k} {v:.3g}" for k, v in distances.items() if v is not None]
+        distances = {"separation": self.separation_distance, "fill": self.fill_distance}
+        parts = [f"{k} distance {v:.3g}" for k, v in distances.items() if v is not None]
         title = f"{n_centers} centres of {n_samples} samples"
-        title += "\n" * bool(details) + ", ".join(details)
+        title += "\n" * bool(parts) + ", ".join(parts)
         ax.set(xlabel=names[columns[0]], ylabel=names[columns[1]], title=title)
         is_quick = n_samples <= MAX_SAMPLES_TO_AVOID
         ax.legend(handles=handles, loc="best" if is_quick else "upper right")
         return self
-
-
-def _check_features(features: Any, n_features: int) -> None:
-    """Refuse anything but two different numbers of features."""
-    known = range(n_features)
-    is_list = np.ndim(features) == 1 and len(features) == 2
-    if not is_list or {*features} - {*known} or features[0] == features[1]:
-        raise ValueError(
-            f"features must be two different columns of X, from 0 to "
-            f"{n_features - 1}, got {features!r}."
-        )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Self
 
 import numpy as np
@@ -14,10 +15,7 @@ from ..diagnostics import conditioning_study
 from ._display import CurveDisplay, Keywords, merge_style, slope_text, with_unit
 from ._inputs import check_study, kernel_name
 
-QUANTITIES = {
-    "condition_number": "condition number",
-    "smallest_eigenvalue": "smallest eigenvalue",
-}
+QUANTITIES = ("condition_number", "smallest_eigenvalue")
 ALL_LOST = "all 16 digits lost"
 
 
@@ -128,32 +126,25 @@ class ConditioningDisplay(CurveDisplay):  # numpydoc ignore=PR02
         name = "conditioning_study or crowding_study"
         check_study(study, name, "smallest_eigenvalue")
         crowding = "gap" in study
-        if quantity is None:
-            quantity = "smallest_eigenvalue" if crowding else "condition_number"
+        quantity = QUANTITIES[crowding] if quantity is None else quantity
         check_choice(quantity, "quantity", QUANTITIES)
         values = np.asarray(study[quantity])
         values = values.reshape(-1, values.shape[-1])
+        q = np.broadcast_to(study["separation_distance"], values.shape)
         title: str | None = None
         if crowding:
             title = kernel_name(study["kernel"])
-            labels = [
-                f"M = {n}, fill distance {h:.2g}"
-                for n, h in zip(study["n_centers"], study["fill_distance"], strict=True)
-            ]
+            chosen = zip(study["n_centers"], study["fill_distance"], strict=True)
+            labels = [f"M = {n}, fill distance {h:.2g}" for n, h in chosen]
         else:
-            labels = [
-                f"{kernel_name(kernel)}, β = {beta:g}"
-                for kernel in study["kernel"]
-                for beta in study["beta"]
-            ]
+            curves = product(map(kernel_name, study["kernel"]), study["beta"])
+            labels = [f"{kernel}, β = {beta:g}" for kernel, beta in curves]
             if quantity == "condition_number":
                 title = f"slope ± {study.get('confidence', 0.95):.0%} interval"
                 cells = zip(labels, np.ndindex(*study["slope"].shape), strict=True)
                 labels = [f"{label}: {_slopes(study, *ij)}" for label, ij in cells]
         return cls(
-            separation_distance=np.broadcast_to(
-                study["separation_distance"], values.shape
-            ),
+            separation_distance=q,
             values=values,
             labels=labels,
             quantity=quantity,
@@ -233,16 +224,11 @@ class ConditioningDisplay(CurveDisplay):  # numpydoc ignore=PR02
             style = merge_style({**style, "label": ALL_LOST}, lost_kw)
             self.lost_ = drawn[0] if drawn else ax.axhline(limit, **style)
         xlabel = with_unit("separation distance", self.state_unit)
-        self._finish(self.legend_title, xlabel, QUANTITIES[self.quantity])
+        self._finish(self.legend_title, xlabel, self.quantity.replace("_", " "))
         return self
 
 
 def _slopes(study: Mapping[str, Any], i: int, j: int) -> str:
     """Write the slope of a condition number beside the expected one."""
-    slope = slope_text(study["slope"][i][j], study["slope_interval"][i][j])
-    expected = study["expected_slope"][i]
-    if np.isnan(expected):
-        return slope
-    if np.isinf(expected):
-        return f"{slope} (expected: any power)"
-    return f"{slope} (expected {expected:.3g})".replace("-", "\N{MINUS SIGN}")
+    slope, interval = study["slope"][i][j], study["slope_interval"][i][j]
+    return slope_text(slope, interval, "expected", study["expected_slope"][i])

@@ -149,14 +149,13 @@ class ConvergenceDisplay(CurveDisplay):  # numpydoc ignore=PR02
         guaranteed = study["guaranteed_slope"]
         if prefix and not np.isnan(guaranteed):
             guaranteed = study["rates"]["rms_exponent"]
+        shared = {key: study[key] for key in ("fill_distance", "used", "confidence")}
         return cls(
-            fill_distance=study["fill_distance"],
+            **shared,
             error=study[quantity],
-            used=study["used"],
             slope=study[f"{prefix}slope"],
             slope_interval=study[f"{prefix}slope_interval"],
             guaranteed_slope=guaranteed,
-            confidence=study["confidence"],
             quantity=quantity,
             name=kernel_name(study["kernel"]) if name is None else name,
             state_unit=state_unit,
@@ -238,15 +237,13 @@ class ConvergenceDisplay(CurveDisplay):  # numpydoc ignore=PR02
         if not used.all():
             self.unused_ = self._draw_curve(h[~used], error[~used], style | hollow)
         drawn = self.line_ if len(self.line_.get_xdata()) else self.unused_
-        if drawn is not None and np.isfinite(self.guaranteed_slope):
+        slope = self.guaranteed_slope
+        if drawn is not None and np.isfinite(slope):
             x, y = drawn.get_data()
-            height = HEIGHT * (y / x**self.guaranteed_slope).max()
+            height, ends = HEIGHT * (y / x**slope).max(), x[[0, -1]]
             style = {"color": self.line_.get_color(), "linestyle": "--", "linewidth": 1}
-            (self.bound_,) = ax.loglog(
-                x[[0, -1]],
-                height * x[[0, -1]] ** self.guaranteed_slope,
-                **merge_style({**style, "label": "_guaranteed"}, bound_kw),
-            )
+            style = merge_style(style | {"label": "_guaranteed"}, bound_kw)
+            (self.bound_,) = ax.loglog(ends, height * ends**slope, **style)
         title = f"slope ± {self.confidence:.0%} interval"
         labels = {line.get_label() for line in ax.lines}
         title += ", dashed: guaranteed" * ("_guaranteed" in labels)
@@ -256,10 +253,7 @@ class ConvergenceDisplay(CurveDisplay):  # numpydoc ignore=PR02
         return self
 
     def _label(self) -> str:
-        guaranteed = f"guaranteed {self.guaranteed_slope:.3g}"
-        if np.isinf(self.guaranteed_slope):
-            guaranteed = "guaranteed: any power"
-        elif np.isnan(self.guaranteed_slope):
-            guaranteed = "no guarantee"
         name = "" if self.name is None else f"{self.name}: "
-        return f"{name}{slope_text(self.slope, self.slope_interval)} ({guaranteed})"
+        power = self.guaranteed_slope
+        text = slope_text(self.slope, self.slope_interval, "guaranteed", power)
+        return name + text + " (no guarantee)" * bool(np.isnan(power))

@@ -1,7 +1,5 @@
 """What all displays share: axes, colours, styles, scales and labels."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, TypeAlias
 
@@ -15,8 +13,6 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 BLUE, ORANGE, GREEN, *_ = COLORS
 # One more than colours, so that both together repeat after 42 curves only.
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-# Room for a row of legend entries above the curves, as a fraction of their range.
-HEADROOM = 0.15
 
 # Keyword arguments for an artist of matplotlib.
 Keywords: TypeAlias = Mapping[str, Any] | None
@@ -38,9 +34,7 @@ class Display:
                 'pip install "sklearn-koopman[plot]".'
             ) from error
         if ax is None:
-            _, ax = plt.subplots(
-                layout="constrained", subplot_kw={"projection": projection}
-            )
+            ax = plt.figure(layout="constrained").add_subplot(projection=projection)
         self.ax_, self.figure_ = ax, ax.figure
         return ax
 
@@ -101,25 +95,14 @@ def with_unit(name: str, unit: str | None) -> str:
     return name if unit is None else f"{name} [{unit}]"
 
 
-def slope_text(slope: float, interval: Sequence[float]) -> str:
-    """Write a slope and half the width of its interval, if they are finite."""
-    if not np.isfinite(slope):
-        return "no slope"
+def slope_text(slope: float, interval: Sequence[float], kind: str, power: float) -> str:
+    """Write a slope, half its interval, and the known power of this kind, if any."""
     half = (interval[1] - interval[0]) / 2
     error = f" ± {half:.2f}" if np.isfinite(half) else ""
-    return f"{slope:.2f}{error}".replace("-", "\N{MINUS SIGN}")
-
-
-def limit_view(ax: Any, truth: Array) -> None:
-    """End the vertical axis at most one range of the true values beyond them."""
-    truth = truth[np.isfinite(truth)]
-    if not len(truth):
-        return
-    size = float(np.ptp(truth) or np.abs(truth).max() or 1.0)
-    low, high = ax.dataLim.intervaly
-    low, high = max(low, truth.min() - size), min(high, truth.max() + size)
-    margin = 0.05 * ((high - low) or size)
-    ax.set_ylim(low - margin, high + margin + HEADROOM * (high - low))
+    text = f"{slope:.2f}{error}" if np.isfinite(slope) else "no slope"
+    if not np.isnan(power):
+        text += f" ({kind}: any power)" if np.isinf(power) else f" ({kind} {power:.3g})"
+    return text.replace("-", "\N{MINUS SIGN}")
 
 
 def cut_surface(values: Array, low: float, high: float) -> Array:

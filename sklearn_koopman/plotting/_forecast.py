@@ -12,19 +12,13 @@ from sklearn.utils.validation import check_is_fitted
 from .._utils._pipeline import transformed, unwrap
 from .._utils._typing import Array
 from .._utils._validation import check_choice, check_flag, check_integer, check_number
-from ._display import (
-    COLORS,
-    Display,
-    Keywords,
-    count_curves,
-    limit_view,
-    merge_style,
-    with_unit,
-)
+from ._display import COLORS, Display, Keywords, count_curves, merge_style, with_unit
 from ._inputs import predict_one_step, select_output, times_of
 
 TRUTH = "measured"
 SAMPLES, SECONDS = "time [samples]", "time [s]"
+# Room for a row of legend entries above the curves, as a fraction of their range.
+HEADROOM = 0.15
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -271,13 +265,8 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
             check_number(dt, "dt", positive=True)
         y = np.asarray(y)
         check_consistent_length(X, y)
-        if n_steps is None:
-            rows = slice(start, None)
-            needed = start + 1
-        else:
-            check_integer(n_steps, "n_steps", 1)
-            needed = start + lag * (n_steps - 1) + 1
-            rows = slice(start, needed, lag)
+        check_integer(1 if n_steps is None else n_steps, "n_steps", 1)
+        needed = start + lag * ((n_steps or 1) - 1) + 1
         if len(y) < needed:
             raise ValueError(
                 f"start={start}, lag={lag} and n_steps={n_steps} need {needed} rows, "
@@ -287,18 +276,19 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
         states = transformed(scaler, X)
         taken = slice(start, None if n_steps is None else start + 1)
         states = states.iloc[taken] if hasattr(states, "iloc") else states[taken]
-        truth, bound, label = y[rows], None, "bound"
+        bound, label = None, "bound"
         if n_steps is None:
+            truth = y[start:]
             predicted, bound, label = predict_one_step(final, states, band, norm)
             ahead = lag + np.arange(len(truth))
         elif hasattr(final, "forecast") and band is None:
+            truth = y[start:needed:lag]
             predicted = final.forecast(states, n_steps, relift=relift)[0]
             ahead = lag * np.arange(1, n_steps + 1)
         else:
             raise ValueError(
-                f"n_steps={n_steps} asks for a forecast, which takes a KernelEDMD "
-                f"and has no band; got {type(final).__name__} and band={band!r}. "
-                "With n_steps=None predictions are one step ahead."
+                f"n_steps={n_steps} asks for a forecast, which takes a KernelEDMD and "
+                f"has no band; got {type(final).__name__} and band={band!r}."
             )
         display_kw.setdefault("bound_label", label)
         display_kw.setdefault("time_label", SAMPLES if dt is None else SECONDS)
@@ -332,19 +322,13 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
             The display itself.
         """
         ax = self._set_axes(ax)
-        style: dict[str, Any] = {"color": "k", "linewidth": 1.5, "label": TRUTH}
-        style = merge_style(style, truth_kw)
+        style = merge_style({"color": "k", "linewidth": 1.5, "label": TRUTH}, truth_kw)
         label = style["label"]
-        shared = [
-            line
-            for line in ax.lines
-            if line.get_label() == label
-            and np.array_equal(line.get_xdata(), self.time)
-            and np.array_equal(line.get_ydata(), self.y_true, equal_nan=True)
-        ]
+        data = self.time, self.y_true
+        named = [x for x in ax.lines if x.get_label() == label]
+        drawn = [x for x in named if np.array_equal(x.get_data(), data, equal_nan=True)]
         color = COLORS[(count_curves(ax, [label]) + 1) % len(COLORS)]  # no blue first
-        drawn = shared or ax.plot(self.time, self.y_true, **style)
-        self.truth_ = drawn[0]
+        self.truth_ = (drawn or ax.plot(*data, **style))[0]
         style = {"color": color, "linestyle": "--", "linewidth": 1.5}
         style = merge_style(style | {"label": self.name}, prediction_kw)
         (self.prediction_,) = ax.plot(self.time, self.y_pred, **style)
@@ -352,13 +336,22 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
         if self.bound is not None:
             style = {"facecolor": self.prediction_.get_color(), "alpha": 0.25}
             style |= {"linewidth": 0, "zorder": 1.5, "label": self.bound_label}
-            self.band_ = ax.fill_between(
-                self.time,
-                self.y_pred - self.bound,
-                self.y_pred + self.bound,
-                **merge_style(style, band_kw, collection=True),
-            )
-        limit_view(ax, self.y_true)
+            style = merge_style(style, band_kw, collection=True)
+            low, high = self.y_pred - self.bound, self.y_pred + self.bound
+            self.band_ = ax.fill_between(self.time, low, high, **style)
+        _limit_view(ax, self.y_true)
         ax.set(xlabel=self.time_label, ylabel=with_unit(self.output_name, self.unit))
         ax.legend(loc="upper center", ncols=4, fontsize="small")
         return self
+
+
+def _limit_view(ax: Any, truth: Array) -> None:
+    """End the vertical axis at most one range of the true values beyond them."""
+    truth = truth[np.isfinite(truth)]
+    if not len(truth):
+        return
+    size = float(np.ptp(truth) or np.abs(truth).max() or 1.0)
+    low, high = ax.dataLim.intervaly
+    low, high = max(low, truth.min() - size), min(high, truth.max() + size)
+    margin = 0.05 * ((high - low) or size)
+    ax.set_ylim(low - margin, high + margin + HEADROOM * (high - low))

@@ -1,10 +1,8 @@
 """What displays take from estimators and data, and the checks of it."""
 
-from __future__ import annotations
-
-import inspect
 import re
 from collections.abc import Mapping, Sequence
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -26,10 +24,9 @@ COMMON_NAMES = {
 
 def find_centers(estimator: Any) -> Array | None:
     """Return the centres of a fitted model or selector, if they are states."""
-    for name in ("centers_", "cluster_centers_"):
-        if hasattr(estimator, name):
-            return np.asarray(getattr(estimator, name), dtype=np.float64)
-    return None
+    centers = getattr(estimator, "cluster_centers_", None)
+    centers = getattr(estimator, "centers_", centers)
+    return None if centers is None else np.asarray(centers, dtype=np.float64)
 
 
 def locate_centers(estimator: Any, given: Any, X: Array) -> Array | None:
@@ -82,22 +79,16 @@ def predict_one_step(
     """Predict one step ahead; return half the width of a band and its name, too."""
     if band is None:
         return estimator.predict(X), None, "bound"
-    needed, is_met = {
-        "std": (
-            "predict(X, return_std=True)",
-            "return_std" in inspect.signature(estimator.predict).parameters,
-        ),
-        "bound": ("error_bound(X)", hasattr(estimator, "error_bound")),
-    }[band]
-    if not is_met:
-        raise ValueError(
-            f"band={band!r} needs {needed}, which {type(estimator).__name__} does not "
-            "have; pass a KoopmanKernelRegressor, or band=None."
-        )
-    if band == "std":
+    if band == "bound" and hasattr(estimator, "error_bound"):
+        return estimator.predict(X), estimator.error_bound(X, norm), "error bound"
+    if band == "std" and "return_std" in signature(estimator.predict).parameters:
         predicted, std = estimator.predict(X, return_std=True)
         return predicted, 2 * std, "±2 standard deviations"
-    return estimator.predict(X), estimator.error_bound(X, norm), "error bound"
+    needed = "error_bound(X)" if band == "bound" else "predict(X, return_std=True)"
+    raise ValueError(
+        f"band={band!r} needs {needed}, which {type(estimator).__name__} does not "
+        "have; pass a KoopmanKernelRegressor, or band=None."
+    )
 
 
 def resolve_names(
@@ -111,7 +102,7 @@ def resolve_names(
     n_features = np.shape(X)[1]
     if names is not None and (isinstance(names, str) or len(names) != n_features):
         raise ValueError(
-            f"feature_names must hold {n_features} names, one for each feature of X, "
+            f"feature_names must hold {n_features} names, those of all features of X, "
             f"got {names!r}."
         )
     return names
@@ -137,8 +128,8 @@ def select_output(values: Any, output: int, n_rows: int, name: str) -> Array:
     values = values.reshape(n_rows, -1)
     if output >= values.shape[1]:
         raise ValueError(
-            f"output={output} is not among the outputs of {name}, which are "
-            f"{values.shape[1]}; give a number from 0 to {values.shape[1] - 1}."
+            f"output={output} is not among the {values.shape[1]} outputs of {name}; "
+            f"give a number from 0 to {values.shape[1] - 1}."
         )
     return values[:, output]
 
@@ -149,15 +140,13 @@ def times_of(n_times: int, time: Any, dt: float | None) -> Array:
         check_number(dt, "dt", positive=True)
     if time is None:
         return (1.0 if dt is None else dt) * np.arange(1.0, n_times + 1)
-    if dt is not None:
-        raise ValueError(f"time and dt={dt!r} exclude each other; give one of them.")
-    time = np.asarray(time, dtype=np.float64)
-    if time.shape != (n_times,):
+    times = np.asarray(time, dtype=np.float64)
+    if dt is not None or times.shape != (n_times,):
         raise ValueError(
-            f"time must have one entry for each of {n_times} outputs, got the shape "
-            f"{time.shape}."
+            f"time must have one entry for each of {n_times} outputs, and excludes dt; "
+            f"got the shape {times.shape} and dt={dt!r}."
         )
-    return time
+    return times
 
 
 def check_study(study: Any, function: str, field: str) -> None:

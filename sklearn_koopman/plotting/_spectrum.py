@@ -156,18 +156,13 @@ class SpectrumDisplay(Display):  # numpydoc ignore=PR02
             doubt = residuals / np.abs(self.eigenvalues)
         order = np.argsort(np.nan_to_num(doubt, nan=np.inf), kind="stable")[::-1]
         angle = np.linspace(0, 2 * np.pi, 400)
-        style: dict[str, Any] = {"color": "0.8", "linewidth": 1, "zorder": 0}
-        (self.circle_,) = ax.plot(
-            np.cos(angle), np.sin(angle), **merge_style(style, circle_kw)
-        )
+        style = merge_style({"color": "0.8", "linewidth": 1, "zorder": 0}, circle_kw)
+        (self.circle_,) = ax.plot(np.cos(angle), np.sin(angle), **style)
         style = {"cmap": "viridis_r", "norm": LogNorm(low, 1.0), "s": 30}
-        style |= {"edgecolor": "0.3", "linewidth": 0.4}
-        self.scatter_ = ax.scatter(
-            self.eigenvalues.real[order],
-            self.eigenvalues.imag[order],
-            c=shown[order],
-            **merge_style(style, scatter_kw, collection=True),
-        )
+        style |= {"edgecolor": "0.3", "linewidth": 0.4, "c": shown[order]}
+        style = merge_style(style, scatter_kw, collection=True)
+        values = self.eigenvalues[order]
+        self.scatter_ = ax.scatter(values.real, values.imag, **style)
         self.colorbar_ = None
         if colorbar:
             norm = self.scatter_.norm
@@ -177,10 +172,7 @@ class SpectrumDisplay(Display):  # numpydoc ignore=PR02
                 self.scatter_, ax=ax, label="residual", extend=extend
             )
         ax.locator_params(nbins=6)
-        ax.set(
-            xlabel="real part of the eigenvalue",
-            ylabel="imaginary part of the eigenvalue",
-            title=f"{len(residuals)} eigenvalues",
-            aspect="equal",
-        )
+        ax.set(title=f"{len(residuals)} eigenvalues", aspect="equal")
+        ax.set_xlabel("real part of the eigenvalue")
+        ax.set_ylabel("imaginary part of the eigenvalue")
         return self

@@ -184,32 +184,30 @@ class SurfaceDisplay(Display):  # numpydoc ignore=PR02
         if states.shape[1] != 2:
             raise ValueError(
                 f"X must have two features to draw a surface above them, got "
-                f"{states.shape[1]}; ForecastDisplay shows estimates of any number."
+                f"{states.shape[1]}; take ForecastDisplay for other numbers."
             )
-        if z_limits is not None and not _is_range(z_limits):
+        limits = (0.0, 1.0) if z_limits is None else z_limits
+        if np.shape(limits) != (2,) or not -np.inf < limits[0] < limits[1] < np.inf:
             raise ValueError(f"z_limits must be two rising numbers, got {z_limits!r}.")
-        names = resolve_names(unwrap(estimator)[0], X, feature_names)
         centers = locate_centers(estimator, X, states)
         low, high = states.min(axis=0), states.max(axis=0)
         size = np.where(high > low, high - low, np.maximum(np.abs(low), 1))
-        xx0, xx1 = np.meshgrid(
-            *np.linspace(low - padding * size, high + padding * size, grid_resolution).T
-        )
+        axes = np.linspace(low - padding * size, high + padding * size, grid_resolution)
+        xx0, xx1 = np.meshgrid(*axes.T)
         grid = np.column_stack([xx0.ravel(), xx1.ravel()])
 
         estimate = predict_like(estimator, X, grid, output)
-        truth = values = at_centers = None
+        truth = at_centers = None
         if function is not None:
             truth = select_output(function(grid), output, len(grid), "function(X)")
             truth = truth.reshape(xx0.shape)
-        if y is not None:
-            values = select_output(y, output, len(states), "y")
-        elif function is not None:
-            values = select_output(function(states), output, len(states), "function(X)")
-        else:
-            values = predict_like(estimator, X, states, output)
+            y = function(states) if y is None else y
         if centers is not None:
             at_centers = predict_like(estimator, X, centers, output)
+        if y is None:
+            values = predict_like(estimator, X, states, output)
+        else:
+            values = select_output(y, output, len(states), "y")
         return cls(
             xx0=xx0,
             xx1=xx1,
@@ -220,7 +218,7 @@ class SurfaceDisplay(Display):  # numpydoc ignore=PR02
             centers=centers,
             center_values=at_centers,
             z_limits=z_limits,
-            feature_names=names,
+            feature_names=resolve_names(unwrap(estimator)[0], X, feature_names),
             output_name=output_name,
         ).plot(ax, **artist_kw)
 
@@ -279,9 +277,7 @@ class SurfaceDisplay(Display):  # numpydoc ignore=PR02
             drawn = ax.plot_surface(self.xx0, self.xx1, values, **kw)
             color = kw.get("color", kw.get("facecolor"))
             edge = kw.get("edgecolor", "none")
-            handles.append(
-                Patch(facecolor=color, edgecolor=edge, alpha=kw["alpha"], label=label)
-            )
+            handles.append(Patch(fc=color, ec=edge, alpha=kw["alpha"], label=label))
             return drawn
 
         def _points(x: Array, z: Any, defaults: Any, given: Any) -> Any:
@@ -306,14 +302,13 @@ class SurfaceDisplay(Display):  # numpydoc ignore=PR02
             size = float(np.clip(30 / np.sqrt(n), 1.2, 5))
             style = {"color": ORANGE, "markersize": size, "zorder": 5}
             on_mesh = style | {"label": "estimate at the centres"}
-            values = self.center_values
-            values = np.where((values >= low) & (values <= high), values, np.nan)
+            values = np.ma.masked_outside(self.center_values, low, high).filled(np.nan)
             self.interpolated_ = _points(self.centers, values, on_mesh, interpolated_kw)
             style |= {"markerfacecolor": "none", "zorder": 1, "label": f"{n} centres"}
             style["markeredgewidth"] = max(size / 6, 0.4)
             self.centers_ = _points(self.centers, np.full(n, low), style, center_kw)
         names = self.feature_names or ("x0", "x1")
-        output = "output" if self.output_name is None else self.output_name
+        output = self.output_name or "output"
         ax.set(xlabel=names[0], ylabel=names[1], zlabel=output, zlim=(low, high))
         ax.locator_params(nbins=5)
         self.handles_ = handles
@@ -323,10 +318,8 @@ class SurfaceDisplay(Display):  # numpydoc ignore=PR02
 
     def _limits(self) -> tuple[float, float]:
         """Return the range of outputs that is worth drawing."""
-        ranges = [
-            *_finite_quantiles(self.sample_values, (0, 1)),
-            *_finite_quantiles(self.truth, QUANTILES),
-        ]
+        measured = _finite_quantiles(self.sample_values, (0, 1))
+        ranges = [*measured, *_finite_quantiles(self.truth, QUANTILES)]
         ranges = ranges or [*_finite_quantiles(self.estimate, QUANTILES)] or [0.0]
         low, high = min(ranges), max(ranges)
         margin = MARGIN * (high - low) or 1.0
@@ -337,8 +330,3 @@ def _finite_quantiles(values: Array | None, quantiles: tuple[float, float]) -> A
     """Return quantiles of the finite values; none if there are no such values."""
     finite = np.empty(0) if values is None else values[np.isfinite(values)]
     return np.quantile(finite, quantiles) if len(finite) else finite
-
-
-def _is_range(limits: Any) -> bool:
-    pair = np.asarray(limits, dtype=np.float64)
-    return pair.shape == (2,) and bool(np.isfinite(pair).all() and pair[0] < pair[1])
