@@ -79,7 +79,7 @@ def select_centers(
     smallest = _smallest_distance(added)
     if len(known):
         gaps = _distances(added.data, known[labels[rows]])
-        smallest = min(smallest, float(gaps.min()))
+        smallest = min(smallest, gaps.min())
     to_added, label = nearest_centers(X, [added])
     labels = np.where(to_added < distances, len(known) + label, labels)
     fill = _largest_distance(X, np.vstack([known, added.data]), labels)
@@ -105,8 +105,7 @@ def sequential_centers(
     indices : ndarray of shape (n_centers,)
         The selected rows, in rising order.
     """
-    most = len(X) if max_centers is None else max_centers
-    return _separated(X, np.arange(len(X)), float(separation), most)
+    return _separated(X, np.arange(len(X)), float(separation), max_centers or len(X))
 
 
 def farthest_centers(
@@ -129,7 +128,7 @@ def farthest_centers(
         The selected rows, in the order of selection.
     """
     n_samples = len(X)
-    most = n_samples if max_centers is None else max_centers
+    most = max_centers or n_samples
     # Splits at the median would take quadratic time on repeated samples.
     build_tree = partial(KDTree, balanced_tree=False, compact_nodes=False)
     order = np.asarray(build_tree(X).indices)
@@ -146,7 +145,7 @@ def farthest_centers(
     indices = [0]
     while len(indices) < most:
         radius = farthest.max()
-        if not radius > separation:
+        if radius <= separation:
             break
         where = np.flatnonzero(farthest == radius)
         block, offset = np.nonzero(blocks[where] == radius)
@@ -154,12 +153,9 @@ def farthest_centers(
         indices.append(row)
         # Samples beyond `radius` are nearer to an earlier centre. The tree rounds
         # distances in another way; the margin makes it find all others.
-        ball: Any = tree.query_ball_point(
-            X[row], radius * (1 + 1e-9), return_sorted=False
-        )
+        ball: Any = tree.query_ball_point(X[row], radius * (1 + 1e-9))
         near = np.array(ball, dtype=np.intp)
-        to_center = _distances(tree.data[near], X[row])
-        distance[near] = np.minimum(distance[near], to_center)
+        distance[near] = np.minimum(distance[near], _distances(tree.data[near], X[row]))
         touched = np.zeros(n_blocks, dtype=bool)
         touched[near // size] = True
         farthest[touched] = blocks[touched].max(axis=1)

@@ -12,6 +12,8 @@ from threadpoolctl import ThreadpoolController
 
 from ._typing import Array
 
+_controller = cache(ThreadpoolController)
+
 
 def by_rows(
     function: Callable[[Array], Array], X: Array, n_rows: int, n_jobs: int | None
@@ -30,8 +32,3 @@ def by_rows(
 def one_thread() -> Any:
     """Hold BLAS to one thread: several in each of several threads slow each other."""
     return _controller().limit(limits=1, user_api="blas")
-
-
-@cache
-def _controller() -> ThreadpoolController:
-    return ThreadpoolController()
