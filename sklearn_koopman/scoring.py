@@ -121,9 +121,7 @@ def make_forecast_scorer(
     check_flag(relift, "relift")
     number: Any = error_score
     if number != "raise" and not isinstance(number, Real):
-        raise ValueError(
-            f"error_score must be 'raise' or a number, got {error_score!r}."
-        )
+        raise ValueError(f"error_score must be 'raise' or a number, got {number!r}.")
     return HorizonErrorScorer(n_steps, relift, float(discount), error_score)
 
 
@@ -270,9 +268,8 @@ class ForecastScorer(ABC):
         n_outputs = outputs.shape[1]
         take = X.iloc if hasattr(X, "iloc") else np.asarray(X)  # frames have names
         errors = []
-        for batch in gen_batches(
-            len(starts), max(MAX_ENTRIES // (self.n_steps * n_outputs), 1)
-        ):
+        n_rows = max(MAX_ENTRIES // (self.n_steps * n_outputs), 1)
+        for batch in gen_batches(len(starts), n_rows):
             with warnings.catch_warnings():
                 # Divergence shows in the score.
                 warnings.simplefilter("ignore", RuntimeWarning)

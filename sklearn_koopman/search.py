@@ -339,7 +339,7 @@ default=None
         # In the order of GridSearchCV, so that it chooses among equals as that does.
         params = list(ParameterGrid(grid))
         outcomes = [own[a] for a in range(len(grid["alpha"])) for own in scored]
-        results, failed = tabulate(params, outcomes, has_splits=self.cv is not None)
+        results, failed = tabulate(params, outcomes, by_fold=self.cv is not None)
         if failed:
             warn(
                 f"{len(failed)} of {len(params)} candidates have no estimate on all "
@@ -364,7 +364,13 @@ default=None
 
     @property
     def rcond_(self) -> float:
-        """Reciprocal condition number of the matrix that the winner has factored."""
+        """Reciprocal condition number of the matrix that the winner has factored.
+
+        Returns
+        -------
+        rcond : float
+            The estimate of the winner.
+        """
         return float(self.best_estimator_.rcond_)
 
     def predict(self, X: Any, return_std: bool = False) -> Array | tuple[Array, Array]:

@@ -203,10 +203,7 @@ def score_kernel(
 
 
 def tabulate(
-    params: list[dict[str, Any]],
-    outcomes: Sequence[Array | ValueError],
-    *,
-    has_splits: bool,
+    params: list[dict[str, Any]], outcomes: Sequence[Array | ValueError], by_fold: bool
 ) -> tuple[dict[str, Any], list[str]]:
     """Tabulate the scores as GridSearchCV does, and name candidates without any."""
     failed, rows = [], []
@@ -229,7 +226,7 @@ def tabulate(
         if all(isinstance(value, float | int) for value in values):
             values = values.astype(np.float64)
         results[f"param_{name}"] = np.ma.MaskedArray(values, mask=False)
-    if has_splits:
+    if by_fold:
         for i, column in enumerate(scores.T):
             results[f"split{i}_test_score"] = column.copy()
     results["mean_test_score"] = mean

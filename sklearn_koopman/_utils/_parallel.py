@@ -19,13 +19,11 @@ def by_rows(
     function: Callable[[Array], Array], X: Array, n_rows: int, n_jobs: int | None
 ) -> Array:
     """Apply a function to blocks of rows, on threads if asked, and join the results."""
-    blocks = list(gen_batches(len(X), n_rows))
+    blocks = [X[rows] for rows in gen_batches(len(X), n_rows)]
     if len(blocks) == 1 or effective_n_jobs(n_jobs) == 1:
-        return np.concatenate([function(X[rows]) for rows in blocks])
+        return np.concatenate([function(block) for block in blocks])
     with one_thread():
-        parts = Parallel(n_jobs=n_jobs, prefer="threads")(
-            delayed(function)(X[rows]) for rows in blocks
-        )
+        parts = Parallel(n_jobs, prefer="threads")(map(delayed(function), blocks))
     return np.concatenate(parts)
 
 
