@@ -590,7 +590,7 @@ def as_kernel(kernel: Any, beta: float | None, n_features: int | None) -> Kernel
         if not isinstance(kernel, RadialKernel):
             names = ", ".join(f"kernel__{h.name}" for h in kernel.hyperparameters)
             raise ValueError(
-                f"beta={beta!r} scales kernels of sklearn_koopman only; with "
+                f"beta={beta!r} scales the kernels of sklearn_koopman only; with "
                 f"kernel={kernel!r} set beta=None and tune {names}."
             )
         kernel.beta = beta

@@ -198,8 +198,9 @@ def successor_rows(sample_index: Any) -> tuple[Indices, Indices]:
         is_exact = bool(((np.abs(index) < 2**53) & (index == np.floor(index))).all())
     if index.ndim != 1 or not is_exact:
         raise ValueError(
-            f"sample_index has shape {index.shape} and dtype {index.dtype}; pass one "
-            "integer a row (floats from 2**53 on are not exact)."
+            "sample_index must hold integers: pass a one-dimensional array of integers "
+            "(floats from 2**53 on are not exact), got shape "
+            f"{index.shape} and dtype {index.dtype}."
         )
     order = np.argsort(index, kind="stable")
     steps = np.diff(index[order].astype(np.int64))
@@ -207,7 +208,7 @@ def successor_rows(sample_index: Any) -> tuple[Indices, Indices]:
     if len(equal):
         first, second = order[equal[0]], order[equal[0] + 1]
         raise ValueError(
-            f"sample_index must be distinct, but rows {first} and {second} have "
+            f"sample_index must be distinct, but rows {first} and {second} both have "
             f"{index[first]}; give each trajectory a range of its own."
         )
     linked = np.flatnonzero(steps == 1)
