@@ -120,7 +120,7 @@ def make_forecast_scorer(
         raise ValueError(f"discount must be at most 1, got {discount!r}.")
     check_flag(relift, "relift")
     number: Any = error_score
-    if number != "raise" and not isinstance(number, Real):
+    if number != "raise" and (isinstance(number, bool) or not isinstance(number, Real)):
         raise ValueError(f"error_score must be 'raise' or a number, got {number!r}.")
     return HorizonErrorScorer(n_steps, relift, float(discount), error_score)
 

@@ -82,8 +82,8 @@ def find_successors(
         return np.arange(len(X)), X_next
     if len(rows) == 0:
         raise ValueError(
-            f"The order or sample_index links none of the n_samples={len(X)} rows; pass "
-            "at least two, with consecutive integers along trajectories, or X_next."
+            f"Order or sample_index links none of the n_samples={len(X)} rows; pass at "
+            "least two, with consecutive integers along trajectories, or X_next."
         )
     return rows, X[following]
 
