@@ -76,19 +76,26 @@ def select_centers(
     if len(rows) == 0:
         return rows, labels, np.inf, _largest_distance(X, known, labels), trees
     added = KDTree(X[rows])
-    smallest = _smallest_distance(added)
+    gaps = np.full(added.n, np.inf)
+    if added.n > 1:
+        _, neighbors = added.query(added.data, k=2)
+        gaps = _distances(added.data, added.data[np.asarray(neighbors)[:, 1]])
     if len(known):
-        gaps = _distances(added.data, known[labels[rows]])
-        smallest = min(smallest, float(gaps.min()))
+        gaps = np.minimum(gaps, _distances(added.data, known[labels[rows]]))
     to_added, label = nearest_centers(X, [added])
     labels = np.where(to_added < distances, len(known) + label, labels)
     fill = _largest_distance(X, np.vstack([known, added.data]), labels)
-    return rows, labels, smallest / 2, fill, _with_tree(trees, added, len(X))
+    # Trees of a similar size are merged, so that there are few trees, and each centre
+    # is moved to a new tree only a few times: one tree, rebuilt for every small batch,
+    # would cost more than the selection itself. Trees smaller than a batch are merged,
+    # too.
+    while trees and trees[-1].n < max(2 * added.n, len(X)):
+        *trees, last = trees
+        added = KDTree(np.vstack([last.data, added.data]))
+    return rows, labels, float(gaps.min()) / 2, fill, [*trees, added]
 
 
-def sequential_centers(
-    X: Array, separation: float, max_centers: int | None = None
-) -> Indices:
+def sequential_centers(X: Array, separation: float) -> Indices:
     """Select centres in the order of the rows (Algorithm 1 of the paper).
 
     Parameters
@@ -97,21 +104,16 @@ def sequential_centers(
         The samples.
     separation : float
         A row is selected if it is farther than this from all rows selected before.
-    max_centers : int, default=None
-        Stop after this many centres.
 
     Returns
     -------
     indices : ndarray of shape (n_centers,)
         The selected rows, in rising order.
     """
-    most = len(X) if max_centers is None else max_centers
-    return _separated(X, np.arange(len(X)), float(separation), most)
+    return _separated(X, np.arange(len(X)), float(separation), len(X))
 
 
-def farthest_centers(
-    X: Array, separation: float, max_centers: int | None = None
-) -> Indices:
+def farthest_centers(X: Array, separation: float, max_centers: int | None) -> Indices:
     """Select the first row, then always the row farthest from the centres so far.
 
     Parameters
@@ -120,7 +122,7 @@ def farthest_centers(
         The samples.
     separation : float
         Selection ends when no sample is farther than this from the centres.
-    max_centers : int, default=None
+    max_centers : int or None
         Stop after this many centres.
 
     Returns
@@ -129,7 +131,7 @@ def farthest_centers(
         The selected rows, in the order of selection.
     """
     n_samples = len(X)
-    most = n_samples if max_centers is None else max_centers
+    most = max_centers or n_samples
     # Splits at the median would take quadratic time on repeated samples.
     build_tree = partial(KDTree, balanced_tree=False, compact_nodes=False)
     order = np.asarray(build_tree(X).indices)
@@ -144,22 +146,16 @@ def farthest_centers(
     blocks = distance.reshape(n_blocks, size)
     farthest = blocks.max(axis=1)
     indices = [0]
-    while len(indices) < most:
-        radius = farthest.max()
-        if not radius > separation:
-            break
+    while len(indices) < most and (radius := farthest.max()) > separation:
         where = np.flatnonzero(farthest == radius)
         block, offset = np.nonzero(blocks[where] == radius)
         row = int(order[where[block] * size + offset].min())
         indices.append(row)
         # Samples beyond `radius` are nearer to an earlier centre. The tree rounds
         # distances in another way; the margin makes it find all others.
-        ball: Any = tree.query_ball_point(
-            X[row], radius * (1 + 1e-9), return_sorted=False
-        )
+        ball: Any = tree.query_ball_point(X[row], radius * (1 + 1e-9))
         near = np.array(ball, dtype=np.intp)
-        to_center = _distances(tree.data[near], X[row])
-        distance[near] = np.minimum(distance[near], to_center)
+        distance[near] = np.minimum(distance[near], _distances(tree.data[near], X[row]))
         touched = np.zeros(n_blocks, dtype=bool)
         touched[near // size] = True
         farthest[touched] = blocks[touched].max(axis=1)
@@ -260,31 +256,10 @@ def _margin(separation: float) -> tuple[float, float]:
     return max(within, 0.0), separation * (1 + 1e-9) + 1e-150
 
 
-def _with_tree(trees: list[KDTree], added: KDTree, n_samples: int) -> list[KDTree]:
-    """Add the tree of new centres to those of the earlier centres.
-
-    Trees of a similar size are merged, so that there are few trees, and each centre
-    is moved to a new tree only a few times: one tree, rebuilt for every small batch,
-    would cost more than the selection itself. Trees smaller than a batch are merged
-    too.
-    """
-    while trees and trees[-1].n < max(2 * added.n, n_samples):
-        *trees, last = trees
-        added = KDTree(np.vstack([last.data, added.data]))
-    return [*trees, added]
-
-
 def _distances(X: Array, x: Array) -> Array:
     difference = X - x
     difference *= difference
     return np.sqrt(difference.sum(axis=-1))
-
-
-def _smallest_distance(tree: KDTree) -> float:
-    if tree.n < 2:
-        return np.inf
-    _, neighbors = tree.query(tree.data, k=2)
-    return float(_distances(tree.data, tree.data[np.asarray(neighbors)[:, 1]]).min())
 
 
 def _largest_distance(X: Array, centers: Array, labels: Indices) -> float:

@@ -37,8 +37,8 @@ ORDERS = ("sequential", "farthest")
 def _selects_in_batches(selector: Any) -> bool:
     if isinstance(selector.order, str) and selector.order == "farthest":
         raise AttributeError(
-            "partial_fit cannot select with order='farthest', which compares all "
-            "samples at once; use order='sequential', or fit on all samples."
+            "order='farthest' has no partial_fit, since it compares all samples; use "
+            "order='sequential', or fit on all samples."
         )
     return True
 
@@ -224,39 +224,26 @@ class SeparatedCenterSelector(
     def _extend(self, given: Any, fitted: Mapping[str, Any]) -> Self:
         """Select from a batch of samples, given the attributes after earlier ones."""
         is_first = "n_samples_seen_" not in fitted
-        if is_first:
-            X = check_array(
-                given, dtype=np.float64, order="C", estimator=self, input_name="X"
-            )
-        else:
-            X = validate_data(self, given, reset=False, dtype=np.float64, order="C")
+        # Attributes are set last: a fit that fails leaves the selector as it was.
+        checker = clone(self) if is_first else self
+        X = validate_data(checker, given, reset=is_first, dtype=np.float64, order="C")
         check_parameters(self, non_negative=["separation"], order=ORDERS)
         if self.max_centers is not None:
             check_integer(self.max_centers, "max_centers", 1)
         known = fitted.get("cluster_centers_", np.empty((0, X.shape[1])))
-        rows, labels, separation, fill, trees = select_centers(
-            X,
-            float(self.separation),
-            self.order,
-            self.max_centers,
-            known,
-            fitted.get("_trees", []),  # absent from a pickle
+        trees = fitted.get("_trees", [])  # absent from a pickle
+        rows, self.labels_, gap, fill, self._trees = select_centers(
+            X, float(self.separation), self.order, self.max_centers, known, trees
         )
-
-        # Attributes are set last: a fit that fails leaves the selector as it was.
         if is_first:
             validate_data(self, given, skip_check_array=True)
         n_seen = fitted.get("n_samples_seen_", 0)
         indices = fitted.get("center_indices_", np.empty(0, dtype=np.intp))
         self.center_indices_ = np.concatenate([indices, n_seen + rows])
         self.cluster_centers_ = np.vstack([known, X[rows]])
-        self.labels_ = labels
-        self.separation_distance_ = min(
-            fitted.get("separation_distance_", np.inf), separation
-        )
+        self.separation_distance_ = min(fitted.get("separation_distance_", np.inf), gap)
         self.fill_distance_ = max(fitted.get("fill_distance_", 0.0), fill)
         self.n_samples_seen_ = n_seen + len(X)
-        self._trees = trees
         return self
 
     def transform(self, X: Any) -> Array:
@@ -299,9 +286,8 @@ class SeparatedCenterSelector(
         ValueError
             As in :meth:`transform`.
         """
-        return nearest_centers(self._check_states(X), [KDTree(self.cluster_centers_)])[
-            1
-        ]
+        X = self._check_states(X)
+        return nearest_centers(X, [KDTree(self.cluster_centers_)])[1]
 
     def _check_states(self, X: Any) -> Array:
         check_is_fitted(self)
@@ -311,9 +297,8 @@ class SeparatedCenterSelector(
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the trees, which follow from the centres."""
-        state = dict(super().__getstate__())
-        state.pop("_trees", None)
-        return state
+        state = super().__getstate__()
+        return {name: state[name] for name in state if name != "_trees"}
 
     @property
     def _n_features_out(self) -> int:
@@ -350,7 +335,12 @@ def choose_centers(
         `among_rows`, holds a centre that is no row of `X`.
     """
     rows = None
-    if hasattr(centers, "fit") and not isinstance(centers, type):
+    if isinstance(centers, str | type):
+        raise ValueError(
+            "centers must be None, an array, a selector (an instance) or "
+            f"'precomputed', got {centers!r}."
+        )
+    if hasattr(centers, "fit"):
         selector = clone(centers).fit(X, y)
         if not hasattr(selector, "cluster_centers_"):
             raise ValueError(
@@ -358,34 +348,25 @@ def choose_centers(
                 "SeparatedCenterSelector, KMeans, or an array of centres."
             )
         points = np.asarray(selector.cluster_centers_, dtype=np.float64)
-        rows = getattr(selector, "center_indices_", None)
+        own = getattr(selector, "center_indices_", None)
         # The rows of a frozen selector may be those of other data.
-        if rows is not None and not (
-            rows.max() < len(X) and np.array_equal(X[rows], points)
-        ):
-            rows = None
-    elif isinstance(centers, str | type):
-        raise ValueError(
-            "centers must be None, an array, a selector (an instance) or "
-            f"'precomputed', got {centers!r}."
-        )
+        if own is not None and own.max() < len(X) and np.array_equal(X[own], points):
+            rows = own
     else:
         points = check_array(centers, dtype=np.float64, copy=True, input_name="centers")
     if points.shape[1] != X.shape[1]:
         raise ValueError(
-            f"centers has {points.shape[1]} features, but X has {X.shape[1]}; they "
-            "must be states of the same kind (and scale)."
+            f"centers has {points.shape[1]} features, but X has {X.shape[1]}; pass "
+            "centres in the space (and on the scale) of X."
         )
     if rows is None and among_rows:
         first, group, _ = distinct_rows(np.vstack([X, points]))
         rows = first[group[len(X) :]]
-        missing = rows >= len(X)
-        if missing.any():
+        if rows.max() >= len(X):
             raise ValueError(
-                f"{missing.sum()} of {len(points)} centres, given or chosen by "
-                f"centers={type(centers).__name__}, are no rows of X, so that their "
-                "outputs are unknown; use method='least_squares', or select the "
-                "centres among the rows, by SeparatedCenterSelector for example."
+                f"{(rows >= len(X)).sum()} of {len(points)} centres, from centers="
+                f"{type(centers).__name__}, are no rows of X, so their outputs are not "
+                "known; set method='least_squares', or use a SeparatedCenterSelector."
             )
     return points, rows
 
@@ -413,10 +394,8 @@ def rows_at_distance_zero(distances: Array) -> Indices:
     apart = np.flatnonzero(distances[rows, np.arange(distances.shape[1])] != 0)
     if len(apart):
         raise ValueError(
-            f"With centers='precomputed' every centre must be a row of X at distance "
-            f"zero from itself, but {len(apart)} of {distances.shape[1]} columns "
+            f"centers='precomputed': {len(apart)} of {distances.shape[1]} columns of X "
             f"(the first is {apart[0]}) hold no zero. Rows left out after the selector "
-            "cause this, and centres such as those of KMeans. Pass the states and "
-            "centers=SeparatedCenterSelector() instead."
+            "cause this; pass the states, and centers=SeparatedCenterSelector()."
         )
     return rows

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from abc import ABCMeta, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeAlias, TypeVar
+from numbers import Real
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polysub, polyval
 from numpy.typing import ArrayLike
 from scipy.spatial.distance import cdist
 from sklearn.base import clone
@@ -19,7 +21,7 @@ from sklearn.gaussian_process.kernels import (
 )
 
 from ._utils._typing import Array
-from ._utils._validation import check_integer, check_number
+from ._utils._validation import check_choice, check_integer, check_number
 
 __all__ = [
     "KERNELS",
@@ -30,7 +32,6 @@ __all__ = [
     "Wendland",
 ]
 
-T = TypeVar("T")
 Bounds: TypeAlias = tuple[float, float] | str
 
 # Largest coordinate of a state in units of beta. Up to there the cube of a distance,
@@ -38,9 +39,7 @@ Bounds: TypeAlias = tuple[float, float] | str
 MAX_SCALED_COORDINATE = 1e70
 
 
-class RadialKernel(
-    StationaryKernelMixin, NormalizedKernelMixin, Kernel, metaclass=ABCMeta
-):
+class RadialKernel(StationaryKernelMixin, NormalizedKernelMixin, Kernel):
     """Base class of kernels k(x, y) = phi(||x - y|| / beta) with phi(0) = 1.
 
     The function phi is the profile of the kernel. The function k(., c) of the first
@@ -212,10 +211,8 @@ class RadialKernel(
         if eval_gradient and Y is not None:
             raise ValueError("The gradient is only defined for Y=None.")
         check_beta(self.beta)
-        given = (X,) if Y is None else (X, Y)
-        scaled = scale_states(
-            self, *(np.atleast_2d(np.asarray(x, dtype=np.float64)) for x in given)
-        )
+        given = [np.array(x, dtype=float, ndmin=2) for x in (X, Y) if x is not None]
+        scaled = scale_states(self, *given)
         n_features = scaled[0].shape[1]
         r = cdist(scaled[0], scaled[-1])
         K = self.profile(r, n_features)
@@ -285,11 +282,11 @@ class MaternSobolev(RadialKernel):
     """
 
     # Coefficients of the polynomial p in rising powers of z.
-    _POLYNOMIALS: dict[float, tuple[float, ...]] = {
-        0.5: (1.0,),
-        1.5: (1.0, 1.0),
-        2.5: (1.0, 1.0, 1 / 3),
-        3.5: (1.0, 1.0, 2 / 5, 1 / 15),
+    _POLYNOMIALS = {
+        0.5: [1.0],
+        1.5: [1.0, 1.0],
+        2.5: [1.0, 1.0, 1 / 3],
+        3.5: [1.0, 1.0, 2 / 5, 1 / 15],
     }
 
     def __init__(
@@ -303,17 +300,14 @@ class MaternSobolev(RadialKernel):
         r, out = _writable(r, out)
         r *= np.sqrt(2 * self.nu)
         _evaluate_polynomial(p, r, out)
-        np.negative(r, out=r)
-        np.exp(r, out=r)
-        out *= r
+        out *= np.exp(np.negative(r, out=r), out=r)
         return out
 
     def log_gradient(self, r: Array, n_features: int) -> Array:
         # With respect to log(beta), p(z) exp(-z) has the derivative z (p - p') exp(-z).
         p = _look_up(self._POLYNOMIALS, self.nu, "nu")
-        falling = tuple(np.subtract(p, (*_derivative(p), 0.0)))
         z = np.sqrt(2 * self.nu) * r
-        return z * _evaluate_polynomial(falling, z) * np.exp(-z)
+        return z * polyval(z, polysub(p, polyder(p))) * np.exp(-z)
 
     def sobolev_order(self, n_features: int) -> float:
         _look_up(self._POLYNOMIALS, self.nu, "nu")
@@ -378,17 +372,13 @@ class Wendland(RadialKernel):
     2.0
     """
 
-    # Coefficients of q in rising powers of r, as functions of l.
-    _POLYNOMIALS: dict[int, Callable[[int], tuple[float, ...]]] = {
-        0: lambda n: (1.0,),
-        2: lambda n: (1.0, n + 1.0),
-        4: lambda n: (1.0, n + 2.0, (n**2 + 4 * n + 3) / 3),
-        6: lambda n: (
-            1.0,
-            n + 3.0,
-            (6 * n**2 + 36 * n + 45) / 15,
-            (n**3 + 9 * n**2 + 23 * n + 15) / 15,
-        ),
+    # Coefficients of q in rising powers of r, up to a factor. Each of them is a
+    # polynomial in l, whose own coefficients are in rising powers of l.
+    _POLYNOMIALS = {
+        0: [[1]],
+        2: [[1], [1, 1]],
+        4: [[3], [6, 3], [3, 4, 1]],
+        6: [[15], [45, 15], [45, 36, 6], [15, 23, 9, 1]],
     }
 
     def __init__(
@@ -425,28 +415,28 @@ class Wendland(RadialKernel):
     def log_gradient(self, r: Array, n_features: int) -> Array:
         power, q = self._polynomial(n_features)
         inside = np.minimum(r, 1.0)
-        slope = _evaluate_polynomial(_derivative(q), inside)
-        falling = power * _evaluate_polynomial(q, inside) - (1 - inside) * slope
+        slope = polyval(inside, polyder(q))
+        falling = power * polyval(inside, q) - (1 - inside) * slope
         return inside * (1 - inside) ** (power - 1) * falling * (r < 1)
 
     def sobolev_order(self, n_features: int) -> float:
         self._polynomial(n_features)
         return (n_features + 1) / 2 + self.smoothness // 2
 
-    def _polynomial(self, n_features: int) -> tuple[int, tuple[float, ...]]:
+    def _polynomial(self, n_features: int) -> tuple[int, list[float]]:
         """Return the exponent l + k and the coefficients of q."""
-        coefficients = _look_up(self._POLYNOMIALS, self.smoothness, "smoothness")
+        table = _look_up(self._POLYNOMIALS, self.smoothness, "smoothness")
         dimension = max(n_features, 3) if self.dimension is None else self.dimension
         check_integer(dimension, "dimension", 1)
         if dimension < n_features:
             raise ValueError(
-                f"Wendland(dimension={dimension}) is not positive definite on "
-                f"{n_features} features; set dimension to at least {n_features}, or "
-                "to None to take that of the data."
+                f"dimension={dimension} of a Wendland kernel is too small for "
+                f"{n_features} features; set it to at least {n_features}, or to None."
             )
         k = self.smoothness // 2
         exponent = dimension // 2 + k + 1
-        return exponent + k, coefficients(exponent)
+        q = [sum(c * exponent**i for i, c in enumerate(powers)) for powers in table]
+        return exponent + k, [coefficient / q[0] for coefficient in q]
 
 
 class Gaussian(RadialKernel):  # numpydoc ignore=PR02
@@ -593,17 +583,15 @@ def as_kernel(kernel: Any, beta: float | None, n_features: int | None) -> Kernel
         kernel = clone(kernel)
     else:
         raise ValueError(
-            f"kernel must be one of {', '.join(KERNELS)}, or a kernel object of "
-            f"sklearn_koopman.kernels or sklearn.gaussian_process.kernels, "
-            f"got {kernel!r}."
+            f"kernel must be one of {', '.join(KERNELS)}, or a kernel object of this "
+            f"package or of sklearn.gaussian_process.kernels, got {kernel!r}."
         )
     if beta is not None:
         if not isinstance(kernel, RadialKernel):
             names = ", ".join(f"kernel__{h.name}" for h in kernel.hyperparameters)
             raise ValueError(
                 f"beta={beta!r} scales the kernels of sklearn_koopman only; with "
-                f"kernel={kernel!r} set beta=None and tune the parameters of the "
-                f"kernel itself: {names}."
+                f"kernel={kernel!r} set beta=None and tune {names}."
             )
         kernel.beta = beta
     for part in (kernel, *kernel.get_params().values()):
@@ -675,40 +663,29 @@ def scale_states(kernel: RadialKernel, *states: Array) -> list[Array]:
     largest = float(max(max(X.max(initial=0), -X.min(initial=0)) for X in states))
     if largest / float(kernel.beta) > MAX_SCALED_COORDINATE:
         raise ValueError(
-            f"The states have values up to {largest:.3g}, more than "
-            f"{MAX_SCALED_COORDINATE:.0e} times beta={kernel.beta:.3g}, and the kernel "
-            "could overflow at such distances; rescale the states, by StandardScaler "
-            "for example, or raise beta."
+            f"X has values up to {largest:.3g}, above {MAX_SCALED_COORDINATE} times "
+            f"beta={kernel.beta:.3g}; rescale the states, or raise beta."
         )
     return [X / kernel.beta for X in states]
 
 
-def radial_values(
-    kernel: RadialKernel, r: Array, n_features: int, out: Array | None = None
-) -> Array:
-    """Evaluate a radial kernel at scaled distances.
+def radial_values(kernel: RadialKernel, r: Array, n_features: int, out: Array) -> None:
+    """Write the values of a radial kernel at scaled distances.
 
     Parameters
     ----------
     kernel : RadialKernel
         The kernel.
     r : ndarray
-        Distances of states from :func:`scale_states`. Overwritten if `out` is given.
+        Distances of states from :func:`scale_states`, which are overwritten.
     n_features : int
         Dimension of the space that the distances come from.
-    out : ndarray of the shape of `r`, default=None
+    out : ndarray of the shape of `r`
         Where to write the values.
-
-    Returns
-    -------
-    values : ndarray of the shape of `r`
-        The values of the kernel; `out` itself where it is given.
     """
     values = kernel.profile(r, n_features, out)
-    if out is None or values is out:
-        return values
-    out[...] = values  # the profile of a subclass may ignore `out`
-    return out
+    if values is not out:  # the profile of a subclass may ignore `out`
+        out[...] = values
 
 
 def _writable(r: Array, out: Array | None) -> tuple[Array, Array]:
@@ -718,26 +695,15 @@ def _writable(r: Array, out: Array | None) -> tuple[Array, Array]:
     return r, out
 
 
-def _evaluate_polynomial(
-    coefficients: tuple[float, ...], x: Array, out: Array | None = None
-) -> Array:
-    """Evaluate the polynomial with these coefficients in rising powers of x."""
-    value = np.empty_like(x) if out is None else out
-    value[...] = coefficients[-1] if coefficients else 0.0
+def _evaluate_polynomial(coefficients: list[float], x: Array, out: Array) -> None:
+    """Evaluate in place the polynomial with these coefficients in rising powers."""
+    out[...] = coefficients[-1]
     for coefficient in coefficients[-2::-1]:
-        value *= x
-        value += coefficient
-    return value
+        out *= x
+        out += coefficient
 
 
-def _derivative(coefficients: tuple[float, ...]) -> tuple[float, ...]:
-    """Return the coefficients of the derivative of a polynomial."""
-    return tuple(i * c for i, c in enumerate(coefficients))[1:]
-
-
-def _look_up(table: dict[Any, T], value: Any, name: str) -> T:
-    try:
-        return table[value]
-    except (KeyError, TypeError):
-        choices = ", ".join(str(choice) for choice in table)
-        raise ValueError(f"{name} must be one of {choices}, got {value!r}.") from None
+def _look_up(table: dict[Any, Any], value: Any, name: str) -> Any:
+    if not isinstance(value, Real) or value not in table:
+        check_choice(value, name, table)
+    return table[value]

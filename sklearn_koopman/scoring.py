@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from numbers import Real
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from sklearn.utils import check_array, check_consistent_length, gen_batches
@@ -122,9 +121,7 @@ def make_forecast_scorer(
     check_flag(relift, "relift")
     number: Any = error_score
     if number != "raise" and (isinstance(number, bool) or not isinstance(number, Real)):
-        raise ValueError(
-            f"error_score must be 'raise' or a number, got {error_score!r}."
-        )
+        raise ValueError(f"error_score must be 'raise' or a number, got {number!r}.")
     return HorizonErrorScorer(n_steps, relift, float(discount), error_score)
 
 
@@ -179,7 +176,7 @@ def make_valid_time_scorer(
     return ValidTimeScorer(n_steps, relift, float(tolerance))
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class ForecastScorer(ABC):
     """Base class of scorers that compare forecasts with what followed.
 
@@ -198,8 +195,6 @@ class ForecastScorer(ABC):
 
     n_steps: int
     relift: bool
-
-    _maker: ClassVar[str]
 
     def __call__(
         self, estimator: Any, X: Any, y: Any = None, sample_index: Any = None
@@ -247,22 +242,12 @@ class ForecastScorer(ABC):
         starts = np.flatnonzero(steps[:, -1] >= 0)
         if len(starts) == 0:
             raise ValueError(
-                f"n_steps={self.n_steps}: none of the {len(steps)} held-out rows is "
-                "followed by so many on its trajectory; lower n_steps, or leave out "
-                "whole trajectories (TrajectoryKFold)."
+                f"None of the {len(steps)} held-out rows is followed by n_steps="
+                f"{self.n_steps} rows; lower n_steps, or hold out whole trajectories."
             )
-
-        def forecast(states: Any) -> Array:
-            return operator.forecast(states, self.n_steps, relift=self.relift)
-
-        squared = _squared_errors(forecast, X, outputs, starts, steps[starts])
+        squared = self._squared_errors(operator, X, outputs, starts, steps[starts])
         with np.errstate(over="ignore", invalid="ignore"):
             return self._score(squared, outputs.shape[1])
-
-    def __repr__(self) -> str:
-        """Show the call that makes the scorer."""
-        parameters = (f"{f.name}={getattr(self, f.name)!r}" for f in fields(self))
-        return f"{self._maker}({', '.join(parameters)})"
 
     def get_metadata_routing(self) -> MetadataRequest:
         """Request `sample_index`, from which the scorer knows which rows follow others.
@@ -276,12 +261,37 @@ class ForecastScorer(ABC):
         request.score.add_request(param="sample_index", alias=True)
         return request
 
+    def _squared_errors(
+        self, operator: Any, X: Any, outputs: Array, starts: Indices, steps: Indices
+    ) -> Array:
+        """Return squared errors of the forecasts, of shape (n_starts, n_steps)."""
+        n_outputs = outputs.shape[1]
+        take = X.iloc if hasattr(X, "iloc") else np.asarray(X)  # frames have names
+        errors = []
+        n_rows = max(MAX_ENTRIES // (self.n_steps * n_outputs), 1)
+        for batch in gen_batches(len(starts), n_rows):
+            with warnings.catch_warnings():
+                # Divergence shows in the score.
+                warnings.simplefilter("ignore", RuntimeWarning)
+                y_pred = operator.forecast(
+                    take[starts[batch]], self.n_steps, relift=self.relift
+                )
+            y_pred = y_pred.reshape(*steps[batch].shape, -1)
+            if y_pred.shape[2] != n_outputs:
+                raise ValueError(
+                    f"y has {n_outputs} outputs, but the estimator forecasts "
+                    f"{y_pred.shape[2]}; pass outputs like those of its fit."
+                )
+            with np.errstate(over="ignore", invalid="ignore"):
+                errors.append(np.square(y_pred - outputs[steps[batch]]).sum(axis=2))
+        return np.concatenate(errors)
+
     @abstractmethod
     def _score(self, squared: Array, n_outputs: int) -> float:
         """Return the score for squared distances of shape (n_starts, n_steps)."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class HorizonErrorScorer(ForecastScorer):
     """Scorer of the error over a horizon; see :func:`make_forecast_scorer`.
 
@@ -304,8 +314,6 @@ class HorizonErrorScorer(ForecastScorer):
     discount: float
     error_score: str | float
 
-    _maker = "make_forecast_scorer"
-
     def _score(self, squared: Array, n_outputs: int) -> float:
         weights = self.discount ** np.arange(self.n_steps)
         mean = np.average(squared.mean(axis=0), weights=weights)
@@ -319,7 +327,7 @@ class HorizonErrorScorer(ForecastScorer):
         return float(self.error_score)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class ValidTimeScorer(ForecastScorer):
     """Scorer that counts valid steps; see :func:`make_valid_time_scorer`.
 
@@ -339,8 +347,6 @@ class ValidTimeScorer(ForecastScorer):
 
     tolerance: float
 
-    _maker = "make_valid_time_scorer"
-
     def _score(self, squared: Array, n_outputs: int) -> float:
         # Comparisons with NaN are false: forecasts that end count as errors.
         within = squared <= self.tolerance**2
@@ -359,9 +365,8 @@ def _following_rows(operator: Any, X: Any, y: Any, sample_index: Any) -> Indices
         links = np.arange(n - 1), np.arange(1, n)
     if links is None:
         raise ValueError(
-            "The scorer does not know which of the held-out rows follow each other: "
-            "pass sample_index to it; in a search, to fit, with "
-            "sklearn.set_config(enable_metadata_routing=True)."
+            "It is not known which of the held-out rows follow each other; pass "
+            "sample_index, in a search to fit with enable_metadata_routing=True."
         )
     following = np.full(n, -1)
     following[links[0]] = links[1]
@@ -374,30 +379,3 @@ def _rows_ahead(following: Indices, n_steps: int, first: int) -> Indices:
     for _ in range(first + n_steps - 1):
         ahead.append(np.where(ahead[-1] < 0, -1, following[ahead[-1]]))
     return np.column_stack(ahead[first:])
-
-
-def _squared_errors(
-    forecast: Callable[[Any], Array],
-    X: Any,
-    outputs: Array,
-    starts: Indices,
-    steps: Indices,
-) -> Array:
-    """Return squared distances of forecast and true outputs, (n_starts, n_steps)."""
-    n_steps, n_outputs = steps.shape[1], outputs.shape[1]
-    take = X.iloc if hasattr(X, "iloc") else np.asarray(X)  # frames have feature names
-    errors = []
-    for batch in gen_batches(len(starts), max(MAX_ENTRIES // (n_steps * n_outputs), 1)):
-        with warnings.catch_warnings():
-            # Divergence shows in the score.
-            warnings.simplefilter("ignore", RuntimeWarning)
-            y_pred = forecast(take[starts[batch]])
-        y_pred = y_pred.reshape(*steps[batch].shape, -1)
-        if y_pred.shape[2] != n_outputs:
-            raise ValueError(
-                f"y has {n_outputs} outputs, but the estimator forecasts "
-                f"{y_pred.shape[2]}; score it with outputs like those of its fit."
-            )
-        with np.errstate(over="ignore", invalid="ignore"):
-            errors.append(np.square(y_pred - outputs[steps[batch]]).sum(axis=2))
-    return np.concatenate(errors)

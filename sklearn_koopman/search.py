@@ -339,7 +339,7 @@ default=None
         # In the order of GridSearchCV, so that it chooses among equals as that does.
         params = list(ParameterGrid(grid))
         outcomes = [own[a] for a in range(len(grid["alpha"])) for own in scored]
-        results, failed = tabulate(params, outcomes, has_splits=self.cv is not None)
+        results, failed = tabulate(params, outcomes, by_fold=self.cv is not None)
         if failed:
             warn(
                 f"{len(failed)} of {len(params)} candidates have no estimate on all "
@@ -350,10 +350,9 @@ default=None
         regressor.set_params(**params[best], centers=centers, n_jobs=self.n_jobs)
         estimator = regressor.fit(given, y)
         # Attributes are set last: a fit that fails leaves the estimator as it was.
-        for name in [name for name in vars(self) if name.endswith("_")]:
-            del self.__dict__[name]
+        kept = {k: v for k, v in vars(self).items() if not k.endswith("_")}
         fitted = {k: v for k, v in vars(estimator).items() if k.endswith("_")}
-        self.__dict__.update(fitted)
+        self.__dict__ = kept | fitted
         self.cv_results_ = results
         self.best_index_ = best
         self.best_kernel_ = params[best]["kernel"]
@@ -365,7 +364,13 @@ default=None
 
     @property
     def rcond_(self) -> float:
-        """Reciprocal condition number of the matrix that the winner has factored."""
+        """Reciprocal condition number of the matrix that the winner has factored.
+
+        Returns
+        -------
+        rcond : float
+            The estimate of the winner.
+        """
         return float(self.best_estimator_.rcond_)
 
     def predict(self, X: Any, return_std: bool = False) -> Array | tuple[Array, Array]:
@@ -431,29 +436,20 @@ default=None
                 f"centers must be None, an array or a selector, got {self.centers!r}; "
                 "the folds need the states themselves, not distances."
             )
-        betas = [None] if self.betas is None else self.betas
-        grid = {"alpha": self.alphas, "beta": betas, "kernel": self.kernels}
+        grid: dict[str, Any] = {"alpha": self.alphas, "kernel": self.kernels}
+        grid["beta"] = [None] if self.betas is None else self.betas
         for name, values in grid.items():
             is_list = isinstance(values, Iterable) and not isinstance(values, str)
-            if not is_list or not len(list(values)):
-                raise ValueError(
-                    f"{name}s must be a non-empty list of values, got {values!r}."
-                )
-        for alpha in self.alphas:
+            grid[name] = list(values) if is_list else []
+            if not grid[name]:
+                raise ValueError(f"{name}s must be a non-empty list, got {values!r}.")
+        for alpha in grid["alpha"]:
             check_number(alpha, "alphas")
-        for beta in betas:
-            if beta is not None:
-                check_number(beta, "betas", positive=True)
+        grid["alpha"] = [float(alpha) for alpha in grid["alpha"]]
         check_parameters(self, method=METHODS, trend=DEGREES, solver=SOLVERS)
-        alphas = [float(alpha) for alpha in self.alphas]
-        return {"alpha": alphas, "beta": list(betas), "kernel": list(self.kernels)}
+        return grid
 
     def _splits(self, X: Array, y: Array, groups: Any) -> list[Split]:
-        if self.cv is None and len(X) < 2:
-            raise ValueError(
-                "cv=None leaves one row out after the other, which needs at least 2, "
-                f"but n_samples = {len(X)}; use KoopmanKernelRegressor."
-            )
         cv = LeaveOneOut() if self.cv is None else self.cv
         splits: list[Split] = []
         every = np.arange(len(X))
@@ -461,15 +457,11 @@ default=None
             train, test = every[train], every[test]
             out = np.delete(every, train)
             n_train = len(X) - len(out)
-            if not n_train or not len(test):
+            if not n_train or not len(test) or n_train < len(train):
                 raise ValueError(
-                    f"cv={self.cv!r} gives fold {len(splits)} {n_train} training rows "
-                    f"and {len(test)} test rows; each needs at least one."
-                )
-            if n_train < len(train):
-                raise ValueError(
-                    f"cv={self.cv!r} repeats rows in the training part of fold "
-                    f"{len(splits)}; name every row at most once."
+                    f"Fold {len(splits)} of cv={self.cv!r} has {len(test)} test rows "
+                    f"and {len(train)} training rows, of which {n_train} are distinct; "
+                    "a fold needs both, and no training row twice."
                 )
             is_rising = (np.diff(train) > 0).all()
             splits.append(Split(out, test, None if is_rising else train))

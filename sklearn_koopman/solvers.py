@@ -128,9 +128,7 @@ def check_solver(solver: ConjugateGradient) -> None:
     """
     check_number(solver.tol, "solver.tol", positive=True)
     if solver.tol >= 1:
-        raise ValueError(
-            f"solver.tol is relative and must be below 1, got {solver.tol!r}."
-        )
+        raise ValueError(f"solver.tol must be below 1, got {solver.tol!r}.")
     check_integer(solver.max_iter, "solver.max_iter", 1)
     check_integer(solver.rank, "solver.rank", 1)
     if solver.n_neighbors is not None:
@@ -140,6 +138,6 @@ def check_solver(solver: ConjugateGradient) -> None:
     except ValueError as error:
         raise ValueError(
             "solver.random_state must be None, an integer from 0 to 2**32 - 1 or a "
-            f"RandomState instance, got {solver.random_state!r}."
+            f"RandomState, got {solver.random_state!r}."
         ) from error
     check_choice(solver.preconditioner, "solver.preconditioner", PRECONDITIONERS)

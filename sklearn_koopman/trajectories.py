@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.model_selection import BaseCrossValidator, GroupKFold
-from sklearn.utils import Bunch, check_array, indexable
+from sklearn.model_selection import BaseCrossValidator, GroupKFold, KFold
+from sklearn.utils import Bunch, check_array
 
 from ._utils._rows import distinct_rows
 from ._utils._typing import Array, Indices
@@ -117,8 +117,8 @@ of them, default=None
         check_integer(value, name, 1)
     if outputs is None and outputs_in_state:
         raise ValueError(
-            "outputs_in_state=True needs outputs; pass the measured outputs, or use "
-            "delays to extend the state by its own past."
+            "outputs_in_state=True needs outputs; pass the outputs, or raise delays to "
+            "extend the states by earlier ones."
         )
     states = _as_trajectories(trajectories, "trajectories")
     measured = states if outputs is None else _as_trajectories(outputs, "outputs")
@@ -129,7 +129,8 @@ of them, default=None
         )
 
     reach = (delays - 1) * delay_step
-    parts: list[Bunch] = []
+    starts = range(reach, -1, -delay_step)  # of the copies in a state
+    parts = []
     clock = 0
     for number, (x, y) in enumerate(zip(states, measured, strict=True)):
         if len(x) != len(y):
@@ -140,14 +141,12 @@ of them, default=None
         n_pairs = len(x) - reach - lag
         if n_pairs < 1:
             raise ValueError(
-                f"trajectory {number} has {len(x)} samples; lag={lag}, "
-                f"delays={delays} and delay_step={delay_step} need at least "
-                f"{reach + lag + 1}. Leave it out, or lower lag, delays or delay_step."
+                f"trajectory {number} has {len(x)} samples, but {lag=}, {delays=} and "
+                f"{delay_step=} need {reach + lag + 1}; leave it out, or lower them."
             )
-        state = _delay_embedding(x, delays, delay_step)
-        if outputs_in_state:
-            columns = y.reshape(len(y), -1)
-            state = np.hstack([state, _delay_embedding(columns, delays, delay_step)])
+        sources = [x, y.reshape(len(y), -1)] if outputs_in_state else [x]
+        copies = [z[k : k + n_pairs + lag] for z in sources for k in starts]
+        state = np.hstack(copies)
         # With a lag of several samples, a trajectory consists of `lag` interleaved
         # runs. Each of them is a trajectory of the map over `lag` samples.
         step, run = np.divmod(np.arange(n_pairs), lag)
@@ -194,12 +193,10 @@ def successor_rows(sample_index: Any) -> tuple[Indices, Indices]:
     (array([1, 3]), array([3, 2]))
     """
     index = np.asarray(sample_index)
-    exact = index.dtype.kind in "iu" or (
-        index.dtype.kind == "f"
-        and (np.abs(index) < 2**53).all()
-        and np.array_equal(index, np.floor(index))
-    )
-    if index.ndim != 1 or not exact:
+    is_exact = index.dtype.kind in "iu"
+    if index.dtype.kind == "f":
+        is_exact = bool(((np.abs(index) < 2**53) & (index == np.floor(index))).all())
+    if index.ndim != 1 or not is_exact:
         raise ValueError(
             "sample_index must hold integers: pass a one-dimensional array of integers "
             "(floats from 2**53 on are not exact), got shape "
@@ -212,8 +209,7 @@ def successor_rows(sample_index: Any) -> tuple[Indices, Indices]:
         first, second = order[equal[0]], order[equal[0] + 1]
         raise ValueError(
             f"sample_index must be distinct, but rows {first} and {second} both have "
-            f"{index[first]}; give each trajectory a range of its own, with a gap to "
-            "the next, as trajectory_pairs does."
+            f"{index[first]}; give each trajectory a range of its own."
         )
     linked = np.flatnonzero(steps == 1)
     rows, successors = order[linked], order[linked + 1]
@@ -266,58 +262,40 @@ def _as_trajectories(data: Any, name: str) -> list[Array]:
         data = list(data)  # of arrays of unequal length
     if getattr(data, "ndim", 3) < 3:
         data = [data]
-    elif not hasattr(data, "__len__") or isinstance(data, str | bytes | dict):
+    is_list = hasattr(data, "__len__") and not isinstance(data, str | bytes | dict)
+    if not is_list or len(data) == 0:
         raise ValueError(
-            f"{name} must be an array or a list of arrays, got {type(data).__name__}."
+            f"{name} must be an array or a non-empty list of arrays, got a "
+            f"{type(data).__name__}."
         )
-    if len(data) == 0:
-        raise ValueError(f"{name} is empty; pass at least one trajectory.")
-    arrays = [
-        _as_trajectory(item, f"{name}[{number}]", name == "outputs")
-        for number, item in enumerate(data)
-    ]
-    for number, array in enumerate(arrays):
+    arrays: list[Array] = []
+    for number, item in enumerate(data):
+        label = f"{name}[{number}]"
+        try:
+            array = check_array(
+                item, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan"
+            )
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{label}: {error}") from error
+        if array.ndim != 2 and (array.ndim != 1 or name != "outputs"):
+            raise ValueError(
+                f"{label} has shape {array.shape}, not (n_samples, n_features); pass "
+                "several trajectories as a list, a scalar one with .reshape(-1, 1)."
+            )
+        gaps = np.flatnonzero(np.isnan(array).reshape(len(array), -1).any(axis=1))
+        if len(gaps):
+            raise ValueError(
+                f"{label} holds NaN in {len(gaps)} of {len(array)} samples, first in "
+                f"sample {gaps[0]}; fill the gaps, or split the trajectory there."
+            )
+        arrays.append(array)
         if array.shape[1:] != arrays[0].shape[1:]:
             raise ValueError(
-                f"{name}[{number}] has shape {array.shape} but {name}[0] has "
-                f"{arrays[0].shape}; all must have the same columns."
+                f"{label} has shape {array.shape}, but {name}[0] has "
+                f"{arrays[0].shape}; pass arrays with the same columns."
             )
-        check_columns(data[number], f"{name}[{number}]", data[0], f"{name}[0]")
+        check_columns(item, label, data[0], f"{name}[0]")
     return arrays
-
-
-def _as_trajectory(item: Any, label: str, may_be_series: bool) -> Array:
-    try:
-        array: Array = check_array(
-            item,
-            dtype=np.float64,
-            ensure_2d=False,
-            ensure_all_finite="allow-nan",
-            input_name=label,
-        )
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{label}: {error}") from error
-    if array.ndim != 2 and not (array.ndim == 1 and may_be_series):
-        raise ValueError(
-            f"{label} has shape {array.shape}; expected (n_samples, n_features). "
-            "Pass one trajectory as a two-dimensional array, several as a list of "
-            "them, and reshape a scalar series with .reshape(-1, 1)."
-        )
-    gaps = np.flatnonzero(np.isnan(array).reshape(len(array), -1).any(axis=1))
-    if len(gaps):
-        raise ValueError(
-            f"{label} holds NaN in {len(gaps)} of {len(array)} samples, first in "
-            f"sample {gaps[0]}; fill the gaps, or split the trajectory there so that "
-            "no pair reaches across."
-        )
-    return array
-
-
-def _delay_embedding(x: Array, delays: int, delay_step: int) -> Array:
-    """Return the rows (x_k, x_{k-step}, ...) that have all their delayed copies."""
-    reach = (delays - 1) * delay_step
-    backward = range(0, reach + 1, delay_step)
-    return np.hstack([x[reach - back : len(x) - back] for back in backward])
 
 
 class TrajectoryKFold(BaseCrossValidator):
@@ -398,32 +376,18 @@ class TrajectoryKFold(BaseCrossValidator):
             If a parameter is outside its range; if there are fewer trajectories, or
             rows, than folds; if `gap` leaves no training rows.
         """
-        self._check_parameters()
-        X, y, groups = indexable(X, y, groups)
+        # Checked when splitting, so that the constructor only stores.
+        check_integer(self.n_splits, "n_splits", 2)
+        check_integer(self.gap, "gap", 0)
         if groups is not None:
-            n_trajectories = len(np.unique(np.asarray(groups)))
-            if n_trajectories < self.n_splits:
-                raise ValueError(
-                    f"n_splits={self.n_splits} needs as many trajectories, but groups "
-                    f"holds {n_trajectories}; lower n_splits, or leave groups out to "
-                    "split one trajectory into blocks."
-                )
             yield from GroupKFold(self.n_splits).split(X, y, groups)
             return
-        n_samples = X.shape[0] if hasattr(X, "shape") else len(X)
-        if n_samples < self.n_splits:
-            raise ValueError(
-                f"n_splits={self.n_splits} needs as many rows, got {n_samples}."
-            )
-        rows = np.arange(n_samples)
-        for test in np.array_split(rows, self.n_splits):
-            train = np.delete(
-                rows, slice(max(test[0] - self.gap, 0), test[-1] + 1 + self.gap)
-            )
+        for train, test in KFold(self.n_splits).split(X, y):
+            train = train[(train < test[0] - self.gap) | (train > test[-1] + self.gap)]
             if len(train) == 0:
                 raise ValueError(
                     f"gap={self.gap} leaves no training rows beside the block of "
-                    f"{len(test)} of {n_samples} rows; lower gap or raise n_splits."
+                    f"{len(test)} rows; lower gap, or raise n_splits={self.n_splits}."
                 )
             yield train, test
 
@@ -444,10 +408,4 @@ class TrajectoryKFold(BaseCrossValidator):
         n_splits : int
             The number of folds.
         """
-        self._check_parameters()
         return self.n_splits
-
-    def _check_parameters(self) -> None:
-        # Checked when splitting, so that the constructor only stores.
-        check_integer(self.n_splits, "n_splits", 2)
-        check_integer(self.gap, "gap", 0)

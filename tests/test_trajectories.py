@@ -188,7 +188,7 @@ def test_too_short_a_trajectory_is_named(options, least):
     states, _ = make_trajectories([20, least, 20])
     assert np.sum(trajectory_pairs(states, **options).groups == 1) == 1
     states[1] = states[1][1:]
-    message = f"^trajectory 1 has {least - 1} samples; lag=.*at least {least}"
+    message = f"^trajectory 1 has {least - 1} samples, but lag=.*need {least};"
     with pytest.raises(ValueError, match=message):
         trajectory_pairs(states, **options)
 
@@ -215,9 +215,9 @@ GOOD = np.arange(12.0).reshape(6, 2)
         ([GOOD] * 3, [GOOD] * 2, {}, "outputs holds 2 arrays for 3 trajectories"),
         ([GOOD] * 2, [GOOD, GOOD[1:]], {}, "trajectory 1 has 6 .* outputs have 5"),
         (GOOD, GOOD[1:], {}, "trajectory 0 has 6 .* outputs have 5"),
-        ([], None, {}, "trajectories is empty"),
-        ([GOOD], [], {}, "outputs is empty"),
-        (np.empty((0, 5, 2)), None, {}, "trajectories is empty"),
+        ([], None, {}, "trajectories must be .*a non-empty list"),
+        ([GOOD], [], {}, "outputs must be .*a non-empty list"),
+        (np.empty((0, 5, 2)), None, {}, "trajectories must be .*a non-empty list"),
         ([GOOD, np.empty((0, 2))], None, {}, r"trajectories\[1\].* 0 sample"),
         (GOOD[:, 0], None, {}, r"trajectories\[0\].*\(6,\).*reshape\(-1, 1\)"),
         (np.zeros((2, 3, 4, 5)), None, {}, r"trajectories\[0\].*dim 3"),
@@ -349,12 +349,12 @@ def test_only_the_number_of_rows_counts(as_array):
         (1, 0, 12, None, "n_splits must be .* got 1"),
         (0, 0, 12, None, "n_splits must be .* got 0"),
         (3, -1, 12, None, "gap must be .* got -1"),
-        (3, 4, 12, None, "^gap=4 leaves no training rows .*4 of 12"),
-        (2, 6, 12, None, "^gap=6 leaves no training rows .*6 of 12"),
-        (13, 0, 12, None, "^n_splits=13 .*got 12"),
-        (2, 0, 0, None, "^n_splits=2 .*got 0"),
-        (3, 0, 12, [1] * 5 + [2] * 7, "^n_splits=3 .*groups holds 2"),
-        (2, 0, 12, [1] * 12, "^n_splits=2 .*groups holds 1"),
+        (3, 4, 12, None, "^gap=4 leaves no training rows .*of 4 rows"),
+        (2, 6, 12, None, "^gap=6 leaves no training rows .*of 6 rows"),
+        (13, 0, 12, None, "n_splits=13 greater than the number of .*n_samples=12"),
+        (2, 0, 0, None, "n_splits=2 greater than the number of .*n_samples=0"),
+        (3, 0, 12, [1] * 5 + [2] * 7, "n_splits=3 greater than .* groups: 2"),
+        (2, 0, 12, [1] * 12, "n_splits=2 greater than .* groups: 1"),
         (2, 0, 12, [1] * 11, r"\[12, 11\]"),
     ],
 )

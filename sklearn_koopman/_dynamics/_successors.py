@@ -68,27 +68,22 @@ def find_successors(
         if sample_index is None or len(rows) == 0:
             if _is_on_another_scale(X, X_next):
                 warn(
-                    "X_next seems to be on another scale than X, as if a scaler in "
-                    "front had transformed X only; the eigenvalues are then wrong. "
-                    "Enable metadata routing and use Pipeline(..., transform_input="
-                    "['X_next']), or pass sample_index instead."
+                    "X_next seems to be on another scale than X, as if a scaler had "
+                    "transformed X only. Pass sample_index instead, or set "
+                    "transform_input=['X_next'] of the pipeline."
                 )
         elif not np.allclose(
             X_next[rows], X[following], rtol=1e-6, atol=1e-6 * np.abs(X).max()
         ):
             raise ValueError(
-                "X_next and sample_index contradict each other: the row that is one "
-                "higher in sample_index is not the successor in X_next. Pass one of "
-                "them; behind a scaler, transform X_next, too (transform_input)."
+                "X_next and sample_index contradict each other; pass one of them. "
+                "Behind a scaler, transform X_next, too (transform_input=['X_next'])."
             )
         return np.arange(len(X)), X_next
     if len(rows) == 0:
         raise ValueError(
-            f"sample_index links none of the n_samples={len(X)} rows: no index is one "
-            "higher than another. Pass consecutive integers along each trajectory."
-            if sample_index is not None
-            else "n_samples=1: one row has no successor; pass a trajectory of at least "
-            "two rows, or X_next."
+            f"Order or sample_index links none of the n_samples={len(X)} rows; pass at "
+            "least two, with consecutive integers along trajectories, or X_next."
         )
     return rows, X[following]
 

@@ -39,11 +39,11 @@ from ._cholesky import (
     pivot_rcond,
 )
 
-EPSILON = float(np.finfo(np.float64).eps)
 # Largest error of the interpolant at the centres, relative to the outputs.
 MAX_MISFIT = 1e-6
-# Largest relative error that rounding may add to the residuals of a fold.
-MAX_FOLD_ERROR = 1e-9
+# Rounding adds up to 1e-9 to the residuals of a fold, relative to them, if the
+# reciprocal condition number of its system is this.
+MIN_FOLD_RCOND = float(np.finfo(np.float64).eps) / 1e-9
 # A normal matrix below this reciprocal condition number is left to the regressor, which
 # refuses it, or drops centres, at a tenth of this.
 MIN_NORMAL_RCOND = 1e-12
@@ -66,9 +66,8 @@ class Fold:
     @cached_property
     def places(self) -> Indices:
         """Where in `out` each test row is; -1 if it is not there."""
-        places = np.searchsorted(self.out, self.test)
-        places[~np.isin(self.test, self.out)] = -1
-        return places
+        is_out = np.isin(self.test, self.out)
+        return np.where(is_out, np.searchsorted(self.out, self.test), -1)
 
 
 # The predictions of each fold; None where the closed form does not apply, or where it
@@ -149,7 +148,7 @@ def _interpolate(
         WS = W[:, S]
         A = dsyrk(1.0, WS, trans=1, lower=1)
         with suppress(np.linalg.LinAlgError):
-            e = _solve(A, c[S], size[S], EPSILON / MAX_FOLD_ERROR)
+            e = _solve(A, c[S], size[S], MIN_FOLD_RCOND)
             if (fold.places >= 0).all():
                 predictions[i] = (u[S] - e)[fold.places]
             else:
@@ -239,9 +238,8 @@ def leave_out_least_squares(
                 # H = V^T V
                 V = solve_triangular(L, F, lower=True, check_finite=False)
                 residual = y - dgemm(1.0, V, dgemm(1.0, V, y), trans_a=1)
-                min_rcond = (
-                    EPSILON / MAX_FOLD_ERROR / np.sqrt(pivot_rcond(L.diagonal()))
-                )
+                rcond = pivot_rcond(L.diagonal())
+                min_rcond = MIN_FOLD_RCOND / np.sqrt(rcond)
                 for i in small:
                     S = folds[i].out
                     rest = np.eye(len(S)) - dsyrk(1.0, V[:, S], trans=1, lower=1)
@@ -262,9 +260,8 @@ def _sum_other_rows(F: Array, y: Array, outs: Sequence[Indices]) -> Iterator[Arr
     for row, out in zip(is_used, outs, strict=True):
         row[out] = False
     patterns, kind = np.unique(is_used, axis=1, return_inverse=True)
-    kind = kind.reshape(-1)
-    kinds = range(patterns.shape[1])
-    parts = [dsyrk(1.0, features[:, kind == k], lower=1) for k in kinds]
+    members = kind.reshape(-1) == np.arange(patterns.shape[1])[:, np.newaxis]
+    parts = [dsyrk(1.0, features[:, rows], lower=1) for rows in members]
     for used in patterns:
         yield reduce(np.add, compress(parts, used))
 
@@ -300,11 +297,10 @@ def _solve(A: Array, rhs: Array, size: Array, min_rcond: float) -> Array:
     """
     if len(A) == 1 and A[0, 0] > min_rcond * size[0]:
         return rhs / A  # many folds are single rows, for which LAPACK takes long
-    unit = 1 / np.sqrt(size)
-    A *= unit[:, np.newaxis] * unit
+    unit = 1 / np.sqrt(size)[:, np.newaxis]
+    A *= unit * unit.T
     magnitude = np.abs(A)
     norm = float((magnitude.sum(axis=0) + magnitude.sum(axis=1)).max())
-    unit = unit[:, np.newaxis]
     lower, x, info = dposv(A, unit * rhs, lower=1, overwrite_a=1)
     # A system far below its unit has lost digits when it was made.
     if info or not dpocon(lower, max(norm, 1.0), uplo="L")[0] > min_rcond:

@@ -123,8 +123,7 @@ class Problem:
             if degree is not None:
                 rows = self.centers if self.interpolates else self.X
                 extent = np.stack([rows.min(axis=0), rows.max(axis=0)])
-                trend = PolynomialTrend.at(self.centers, degree, extent)
-                P = trend.values(table)
+                P = PolynomialTrend.at(self.centers, degree, extent).values(table)
             if self.interpolates:
                 u, weight = self.outputs
                 return leave_out_interpolation(
@@ -194,33 +193,26 @@ def score_kernel(
         if isinstance(found, ValueError):
             outcomes.append(found)
             continue
+        outputs = [problem.y[split.test] for split in problem.splits]
         if pooled:
-            pairs = [(np.concatenate(found), problem.y)]
-        else:
-            outputs = [problem.y[split.test] for split in problem.splits]
-            pairs = list(zip(found, outputs, strict=True))
+            found, outputs = [np.concatenate(found)], [problem.y]
+        pairs = zip(found, outputs, strict=True)
         scores = [scorer(IdentityRegressor(), own, y) for own, y in pairs]
         outcomes.append(np.hstack(scores))
     return outcomes
 
 
 def tabulate(
-    params: list[dict[str, Any]],
-    outcomes: Sequence[Array | ValueError],
-    *,
-    has_splits: bool,
+    params: list[dict[str, Any]], outcomes: Sequence[Array | ValueError], by_fold: bool
 ) -> tuple[dict[str, Any], list[str]]:
     """Tabulate the scores as GridSearchCV does, and name candidates without any."""
-    failed, n_scores = [], 1
+    failed, rows = [], []
     for candidate, outcome in zip(params, outcomes, strict=True):
         if isinstance(outcome, ValueError):
             failed.append(f"{candidate}: {outcome}")
-        else:
-            n_scores = len(outcome)
-    scores = np.full((len(params), n_scores), np.nan)
-    for row, outcome in zip(scores, outcomes, strict=True):
-        if not isinstance(outcome, ValueError):
-            row[:] = outcome
+            outcome = np.array(np.nan)
+        rows.append(outcome)
+    scores = np.vstack(np.broadcast_arrays(*rows))
     mean = scores.mean(axis=1)
     if np.isnan(mean).all():
         reason = failed[0] if failed else "the scores themselves are nan"
@@ -234,7 +226,7 @@ def tabulate(
         if all(isinstance(value, float | int) for value in values):
             values = values.astype(np.float64)
         results[f"param_{name}"] = np.ma.MaskedArray(values, mask=False)
-    if has_splits:
+    if by_fold:
         for i, column in enumerate(scores.T):
             results[f"split{i}_test_score"] = column.copy()
     results["mean_test_score"] = mean

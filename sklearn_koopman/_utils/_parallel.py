@@ -12,26 +12,21 @@ from threadpoolctl import ThreadpoolController
 
 from ._typing import Array
 
+_controller = cache(ThreadpoolController)
+
 
 def by_rows(
     function: Callable[[Array], Array], X: Array, n_rows: int, n_jobs: int | None
 ) -> Array:
     """Apply a function to blocks of rows, on threads if asked, and join the results."""
-    blocks = list(gen_batches(len(X), n_rows))
+    blocks = [X[rows] for rows in gen_batches(len(X), n_rows)]
     if len(blocks) == 1 or effective_n_jobs(n_jobs) == 1:
-        return np.concatenate([function(X[rows]) for rows in blocks])
+        return np.concatenate([function(block) for block in blocks])
     with one_thread():
-        parts = Parallel(n_jobs=n_jobs, prefer="threads")(
-            delayed(function)(X[rows]) for rows in blocks
-        )
+        parts = Parallel(n_jobs, prefer="threads")(map(delayed(function), blocks))
     return np.concatenate(parts)
 
 
 def one_thread() -> Any:
     """Hold BLAS to one thread: several in each of several threads slow each other."""
     return _controller().limit(limits=1, user_api="blas")
-
-
-@cache
-def _controller() -> ThreadpoolController:
-    return ThreadpoolController()

@@ -20,17 +20,14 @@ def unwrap(estimator: Any) -> tuple[Any, Any]:
     front : Pipeline or None
         The steps before it, if any.
     """
-    fronts: list[Pipeline] = []
+    steps: list[tuple[str, Any]] = []
     while isinstance(estimator, Pipeline) or hasattr(estimator, "best_estimator_"):
         if hasattr(estimator, "best_estimator_"):
             estimator = estimator.best_estimator_
             continue
-        if len(estimator) > 1:
-            fronts.append(estimator[:-1])
+        steps += estimator.steps[:-1]
         estimator = estimator[-1]
-    if len(fronts) < 2:
-        return estimator, fronts[0] if fronts else None
-    return estimator, Pipeline([(str(i), front) for i, front in enumerate(fronts)])
+    return estimator, Pipeline(steps) if steps else None
 
 
 def transformed(front: Any, X: Any) -> Any:

@@ -29,12 +29,10 @@ def distinct_rows(X: Array) -> tuple[Indices, Indices, Indices]:
     )
     # NumPy numbers the groups by their values. Here they are numbered by their rows.
     order = np.argsort(first)
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return first[order], rank[group.reshape(-1)], counts[order]
+    return first[order], np.argsort(order)[group.reshape(-1)], counts[order]
 
 
-def group_means(values: Array, group: Indices) -> Array:
+def group_means(values: Array, group: Indices, weights: Array | None = None) -> Array:
     """Average the rows of each group.
 
     Parameters
@@ -43,13 +41,17 @@ def group_means(values: Array, group: Indices) -> Array:
         The rows.
     group : ndarray of shape (n_samples,)
         The number of the group that each row belongs to, as `distinct_rows` gives it.
+    weights : ndarray of shape (n_samples,), default=None
+        The weight of each row. By default all are equal.
 
     Returns
     -------
     means : ndarray of shape (n_groups, n_columns)
         The mean of each group.
     """
-    return _group_sums(values, group) / np.bincount(group)[:, np.newaxis]
+    sums = np.zeros((group.max() + 1, values.shape[1]))
+    np.add.at(sums, group, values if weights is None else weights[:, None] * values)
+    return sums / np.bincount(group, weights)[:, np.newaxis]
 
 
 class AveragedOutputs(NamedTuple):
@@ -75,11 +77,8 @@ class AveragedOutputs(NamedTuple):
 
     def joined(self, y: Array) -> Self:
         """Return these outputs followed by those of further, distinct rows."""
-        return type(self)(
-            np.vstack([self.means, y]),
-            np.append(self.counts, np.ones(len(y))),
-            self.scatter,
-        )
+        counts = np.append(self.counts, np.ones(len(y)))
+        return type(self)(np.vstack([self.means, y]), counts, self.scatter)
 
 
 def average_equal_rows(
@@ -114,17 +113,14 @@ def average_equal_rows(
     if len(first) == len(X):
         return first, values
     if exact:
-        check_equal_rows_agree(values.means, group, numbers)
-    counts = np.bincount(group, weights=values.counts).astype(np.float64)
-    weighted = values.counts[:, np.newaxis] * values.means
-    means = _group_sums(weighted, group) / counts[:, np.newaxis]
+        _check_equal_rows_agree(values.means, group, numbers)
+    counts = np.bincount(group, values.counts).astype(np.float64)
+    means = group_means(values.means, group, values.counts)
     scatter = values.scatter + values.counts @ (values.means - means[group]) ** 2
     return first, AveragedOutputs(means, counts, scatter)
 
 
-def check_equal_rows_agree(
-    values: Array, group: Indices, numbers: Indices | None = None
-) -> None:
+def _check_equal_rows_agree(values: Array, group: Indices, numbers: Indices) -> None:
     """Refuse equal rows whose outputs differ by more than rounding.
 
     Parameters
@@ -133,8 +129,8 @@ def check_equal_rows_agree(
         The outputs.
     group : ndarray of shape (n_samples,)
         The number of the group of equal rows that each row belongs to.
-    numbers : ndarray of shape (n_samples,), default=None
-        The numbers of the rows, for the error. By default they are counted from 0.
+    numbers : ndarray of shape (n_samples,)
+        The numbers of the rows, for the error.
 
     Raises
     ------
@@ -147,16 +143,8 @@ def check_equal_rows_agree(
         return
     equal = np.flatnonzero(group == group[worst])
     away = np.abs(values[equal] - values[equal[0]]).max(axis=1)
-    rows = equal[[0, int(away.argmax())]]
-    one, other = rows if numbers is None else numbers[rows]
+    one, other = numbers[equal[[0, away.argmax()]]]
     raise ValueError(
-        f"rows {one} and {other} of X are equal but their outputs differ: with alpha=0 "
-        "no function interpolates both. Set alpha > 0 or method='least_squares', or "
-        "add delays to the states."
+        f"rows {one} and {other} of X are equal but their outputs differ; set alpha > "
+        "0 or method='least_squares', or add delays to the states."
     )
-
-
-def _group_sums(values: Array, group: Indices) -> Array:
-    sums = np.zeros((group.max() + 1, values.shape[1]))
-    np.add.at(sums, group, values)
-    return sums

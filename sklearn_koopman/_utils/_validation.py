@@ -1,6 +1,5 @@
 """Checks of parameters and data that scikit-learn's public helpers do not cover."""
 
-import math
 from collections.abc import Collection
 from numbers import Integral, Real
 from typing import Any
@@ -16,17 +15,15 @@ MIN_MAGNITUDE, MAX_MAGNITUDE = 1e-150, 1e150
 def check_number(value: Any, name: str, *, positive: bool = False) -> None:
     """Refuse anything but a finite number of at least zero, or above zero."""
     is_number = isinstance(value, Real) and not isinstance(value, bool)
-    number = float(value) if is_number else math.nan
-    if math.isfinite(number) and (number > 0 or (number == 0 and not positive)):
-        return
-    kind = "positive" if positive else "non-negative"
-    raise ValueError(f"{name} must be a finite {kind} number, got {value!r}.")
+    if not is_number or not (0 < value < np.inf or (value == 0 and not positive)):
+        kind = "positive" if positive else "non-negative"
+        raise ValueError(f"{name} must be a finite {kind} number, got {value!r}.")
 
 
 def check_integer(value: Any, name: str, minimum: int) -> None:
     """Refuse anything but an integer of at least a minimum."""
     is_integer = isinstance(value, Integral) and not isinstance(value, bool)
-    if is_integer and int(value) >= minimum:
+    if is_integer and value >= minimum:
         return
     raise ValueError(f"{name} must be an integer of at least {minimum}, got {value!r}.")
 
@@ -34,12 +31,10 @@ def check_integer(value: Any, name: str, minimum: int) -> None:
 def check_positive(values: Any, name: str) -> Array:
     """Return numbers as an array; refuse any that is not finite and positive."""
     numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
-    good = np.isfinite(numbers) & (numbers > 0)
+    good = (numbers > 0) & (numbers < np.inf)
     if numbers.ndim == 1 and numbers.size and good.all():
         return numbers
-    raise ValueError(
-        f"{name} must be a list of positive, finite numbers, got {values!r}."
-    )
+    raise ValueError(f"{name} must be positive, finite numbers, got {values!r}.")
 
 
 def check_flag(value: Any, name: str) -> None:
@@ -91,6 +86,6 @@ def check_distances(X: Array) -> None:
     """Refuse negative entries of what should be distances to the centres."""
     if X.min() < 0:
         raise ValueError(
-            f"X holds {X.min():.3g}: with centers='precomputed' its entries are "
-            "distances to the centres, as SeparatedCenterSelector.transform gives them."
+            f"X holds {X.min():.3g}, but with centers='precomputed' its entries are "
+            "distances; pass the result of SeparatedCenterSelector.transform."
         )
