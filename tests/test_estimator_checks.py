@@ -19,11 +19,7 @@ from sklearn.utils.estimator_checks import (
 )
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_koopman import (
-    KernelEDMD,
-    KoopmanKernelRegressor,
-    SeparatedCenterSelector,
-)
+from sklearn_koopman import KernelEDMD, KoopmanKernelRegressor, SeparatedCenterSelector
 from sklearn_koopman.kernels import KERNELS, Wendland
 
 

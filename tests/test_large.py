@@ -13,11 +13,7 @@ from sklearn.gaussian_process.kernels import RBF, DotProduct, Matern, WhiteKerne
 from sklearn.model_selection import GridSearchCV
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
-from sklearn_koopman import (
-    KernelEDMD,
-    KoopmanKernelRegressor,
-    SeparatedCenterSelector,
-)
+from sklearn_koopman import KernelEDMD, KoopmanKernelRegressor, SeparatedCenterSelector
 from sklearn_koopman._linalg import _iterative
 from sklearn_koopman._linalg._conjugate_gradient import (
     Converged,
