@@ -397,10 +397,7 @@ default="auto"
         outputs, growth = y.reshape(len(y), -1), getattr(self, "_growth", None)
         if self._interpolates_centers:
             system, averages = self._direct_system(), AveragedOutputs(*self._averages)
-            rows = np.asarray(self.center_indices_)
-            estimate = add_centers(
-                system, averages, rows, self._n_rows, self, X, outputs
-            )
+            estimate = add_centers(system, averages, self._n_rows, self, X, outputs)
         elif growth is not None:
             estimate = add_rows(growth, self.alpha, X, outputs)
         else:

@@ -17,7 +17,7 @@ from .._linalg._systems import DirectSystem
 from .._matrices._polynomial import DEGREES
 from .._matrices._sections import KernelSections, Sections
 from .._utils._rows import AveragedOutputs, average_equal_rows
-from .._utils._typing import Array, Indices
+from .._utils._typing import Array
 from ..centers import SeparatedCenterSelector
 from ..solvers import ConjugateGradient
 from ._estimate import Estimate, keep_averages
@@ -61,7 +61,6 @@ def check_can_grow(model: Any) -> bool:
 def add_centers(
     system: DirectSystem,
     averages: AveragedOutputs,
-    rows: Indices,
     n_rows: int,
     model: Any,
     X: Array,
@@ -78,12 +77,10 @@ def add_centers(
         That of the batches before.
     averages : AveragedOutputs
         The outputs at its centres.
-    rows : ndarray of shape (M,)
-        The numbers of the rows that these are.
     n_rows : int
         The number of rows before.
     model : KoopmanKernelRegressor
-        For its parameters.
+        For its parameters, and the numbers of the rows that are centres.
     X : ndarray of shape (n_samples, n_features)
         The states of the batch.
     y : ndarray of shape (n_samples, n_outputs)
@@ -101,7 +98,7 @@ def add_centers(
     """
     known, before = system.sections, averages.means
     points = np.vstack([known.points, X])
-    numbers = np.append(rows, n_rows + np.arange(len(X)))
+    numbers = np.append(model.center_indices_, n_rows + np.arange(len(X)))
     averages = averages.joined(y)
     fits = model.method == "least_squares"
     if model.centers is None:
