@@ -369,7 +369,7 @@ default=None
         Returns
         -------
         rcond : float
-            The estimate of the winner.
+            As `best_estimator_` gives it; none with conjugate gradients.
         """
         return float(self.best_estimator_.rcond_)
 
