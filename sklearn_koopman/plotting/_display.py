@@ -42,7 +42,22 @@ class Display:
 def merge_style(
     defaults: Mapping[str, Any], given: Keywords, *, collection: bool = False
 ) -> dict[str, Any]:
-    """Let keyword arguments of the caller, under any alias, replace the defaults."""
+    """Let keyword arguments of the caller, under any alias, replace the defaults.
+
+    Parameters
+    ----------
+    defaults : dict
+        Keyword arguments of this package, by their full names.
+    given : dict or None
+        Keyword arguments of the user, by any of their names.
+    collection : bool, default=False
+        Whether they are for a collection. False for a line.
+
+    Returns
+    -------
+    style : dict
+        Both, those of the user first.
+    """
     from matplotlib import cbook, collections, lines
 
     artist: Any = collections.Collection if collection else lines.Line2D
@@ -50,7 +65,20 @@ def merge_style(
 
 
 def count_curves(ax: Any, uncounted: Collection[str] = ()) -> int:
-    """Count the lines on axes that have a label, other than some labels."""
+    """Count the lines on axes that have a label, other than some labels.
+
+    Parameters
+    ----------
+    ax : matplotlib Axes
+        The axes.
+    uncounted : collection of str, default=()
+        Labels of curves that do not count.
+
+    Returns
+    -------
+    n_curves : int
+        The number of the curves.
+    """
     labels = [str(line.get_label()) for line in ax.lines]
     return sum(not x.startswith("_") and x not in uncounted for x in labels)
 
@@ -91,12 +119,42 @@ class CurveDisplay(Display):
 
 
 def with_unit(name: str, unit: str | None) -> str:
-    """Return the label of an axis."""
+    """Return the label of an axis.
+
+    Parameters
+    ----------
+    name : str
+        The name of a quantity.
+    unit : str or None
+        Its unit. None for no unit.
+
+    Returns
+    -------
+    label : str
+        The name, and the unit in brackets.
+    """
     return name if unit is None else f"{name} [{unit}]"
 
 
 def slope_text(slope: float, interval: Sequence[float], kind: str, power: float) -> str:
-    """Write a slope, half its interval, and the known power of this kind, if any."""
+    """Write a slope, half its interval, and the known power of this kind, if any.
+
+    Parameters
+    ----------
+    slope : float
+        The slope that was fitted.
+    interval : sequence of two float
+        Its confidence interval; NaN for none.
+    kind : str
+        What the known power is, such as "expected".
+    power : float
+        The known power; infinite for any power, NaN for none.
+
+    Returns
+    -------
+    text : str
+        The text for a legend.
+    """
     half = (interval[1] - interval[0]) / 2
     error = f" ± {half:.2f}" if np.isfinite(half) else ""
     text = f"{slope:.2f}{error}" if np.isfinite(slope) else "no slope"
@@ -106,7 +164,22 @@ def slope_text(slope: float, interval: Sequence[float], kind: str, power: float)
 
 
 def cut_surface(values: Array, low: float, high: float) -> Array:
-    """Clip a surface at the edge of a range, and blank it (NaN) farther out."""
+    """Clip a surface at the edge of a range, and blank it (NaN) farther out.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n_rows, n_columns)
+        The heights of the surface.
+    low : float
+        The lower end of the range.
+    high : float
+        The upper end of the range.
+
+    Returns
+    -------
+    values : ndarray of shape (n_rows, n_columns)
+        The heights that are drawn, NaN elsewhere.
+    """
     inside = (values >= low) & (values <= high)
     edge = binary_dilation(inside, np.ones((3, 3), dtype=bool))
     return np.where(edge, np.clip(values, low, high), np.nan)

@@ -23,7 +23,18 @@ COMMON_NAMES = {
 
 
 def find_centers(estimator: Any) -> Array | None:
-    """Return the centres of a fitted model or selector, if they are states."""
+    """Return the centres of a fitted model or selector, if they are states.
+
+    Parameters
+    ----------
+    estimator : estimator instance
+        A fitted model or selector.
+
+    Returns
+    -------
+    centers : ndarray of shape (n_centers, n_features) or None
+        The centres; None if there are none that are states.
+    """
     centers = getattr(estimator, "cluster_centers_", None)
     centers = getattr(estimator, "centers_", centers)
     return None if centers is None else np.asarray(centers, dtype=np.float64)
@@ -65,7 +76,24 @@ def locate_centers(estimator: Any, given: Any, X: Array) -> Array | None:
 
 
 def predict_like(estimator: Any, given: Any, states: Array, output: int) -> Array:
-    """Predict one output from an array, in the container of the given states."""
+    """Predict one output from an array, in the container of the given states.
+
+    Parameters
+    ----------
+    estimator : estimator instance
+        A fitted model, pipeline or search.
+    given : array-like of shape (n_samples, n_features)
+        The states that the user gave.
+    states : ndarray of shape (n, n_features)
+        The states to predict from.
+    output : int
+        Which of several outputs.
+
+    Returns
+    -------
+    predicted : ndarray of shape (n,)
+        The predictions.
+    """
     like: Any = states
     if hasattr(given, "columns"):
         names = {"columns" if hasattr(given, "iloc") else "schema": list(given.columns)}
@@ -76,7 +104,33 @@ def predict_like(estimator: Any, given: Any, states: Array, output: int) -> Arra
 def predict_one_step(
     estimator: Any, X: Any, band: str | None, norm: Any = None
 ) -> tuple[Any, Any, str]:
-    """Predict one step ahead; return half the width of a band and its name, too."""
+    """Predict one step ahead; return half the width of a band and its name, too.
+
+    Parameters
+    ----------
+    estimator : estimator instance
+        A fitted model.
+    X : array-like of shape (n_samples, n_features)
+        The states.
+    band : {"std", "bound"} or None
+        What the band around the predictions shows.
+    norm : float or array-like, default=None
+        Native norm of the true function, for the error bound.
+
+    Returns
+    -------
+    predicted : ndarray of shape (n_samples,) or (n_samples, n_outputs)
+        The predictions.
+    bound : ndarray or None
+        Half the width of the band.
+    label : str
+        The name of the band in the legend.
+
+    Raises
+    ------
+    ValueError
+        If the estimator does not have what the band needs.
+    """
     if band is None:
         return estimator.predict(X), None, "bound"
     if band == "bound" and hasattr(estimator, "error_bound"):
@@ -94,7 +148,27 @@ def predict_one_step(
 def resolve_names(
     estimator: Any, X: Any, given: Sequence[str] | None
 ) -> Sequence[str] | None:
-    """Return the given names of features, or those of a data frame, or of `fit`."""
+    """Return the given names of features, or those of a data frame, or of `fit`.
+
+    Parameters
+    ----------
+    estimator : estimator instance
+        A fitted model or selector.
+    X : array-like of shape (n_samples, n_features)
+        The states.
+    given : sequence of str or None
+        The names that the user gave.
+
+    Returns
+    -------
+    names : sequence of str or None
+        The names; None if there are none.
+
+    Raises
+    ------
+    ValueError
+        If there is not one name for each feature.
+    """
     names = given
     if names is None:
         found = getattr(X, "columns", getattr(estimator, "feature_names_in_", None))
@@ -109,7 +183,18 @@ def resolve_names(
 
 
 def kernel_name(kernel: str) -> str:
-    """Return the common name of a kernel, or what was given if it has none."""
+    """Return the common name of a kernel, or what was given if it has none.
+
+    Parameters
+    ----------
+    kernel : str
+        The name or the representation of a kernel.
+
+    Returns
+    -------
+    name : str
+        Its common name; `kernel` if there is none.
+    """
     for pattern, name in COMMON_NAMES.items():
         if found := re.fullmatch(pattern, kernel):
             return found.expand(name)
@@ -117,7 +202,29 @@ def kernel_name(kernel: str) -> str:
 
 
 def select_output(values: Any, output: int, n_rows: int, name: str) -> Array:
-    """Return one column of the outputs that an error calls by a name."""
+    """Return one column of the outputs that an error calls by a name.
+
+    Parameters
+    ----------
+    values : array-like of shape (n_rows,) or (n_rows, n_outputs)
+        The outputs.
+    output : int
+        Which of them.
+    n_rows : int
+        The number of rows that there must be.
+    name : str
+        The name of the values, for errors.
+
+    Returns
+    -------
+    selected : ndarray of shape (n_rows,)
+        The output.
+
+    Raises
+    ------
+    ValueError
+        If the shape is another, or there is no such output.
+    """
     check_integer(output, "output", 0)
     values = np.asarray(values, dtype=np.float64)
     if values.ndim not in (1, 2) or len(values) != n_rows:
@@ -135,7 +242,27 @@ def select_output(values: Any, output: int, n_rows: int, name: str) -> Array:
 
 
 def times_of(n_times: int, time: Any, dt: float | None) -> Array:
-    """Return the given times of outputs, or multiples of `dt` (or of 1)."""
+    """Return the given times of outputs, or multiples of `dt` (or of 1).
+
+    Parameters
+    ----------
+    n_times : int
+        The number of outputs.
+    time : array-like of shape (n_times,) or None
+        The times that the user gave.
+    dt : float or None
+        The time between two outputs. None for 1.
+
+    Returns
+    -------
+    times : ndarray of shape (n_times,)
+        The times.
+
+    Raises
+    ------
+    ValueError
+        If both are given, or a value is not valid.
+    """
     if dt is not None:
         check_number(dt, "dt", positive=True)
     if time is None:
@@ -150,7 +277,22 @@ def times_of(n_times: int, time: Any, dt: float | None) -> Array:
 
 
 def check_study(study: Any, function: str, field: str) -> None:
-    """Refuse what is not the study that a function makes, which holds a field."""
+    """Refuse what is not the study that a function makes, which holds a field.
+
+    Parameters
+    ----------
+    study : object
+        What should be a study.
+    function : str
+        The functions that compute such studies.
+    field : str
+        What only such studies hold.
+
+    Raises
+    ------
+    ValueError
+        If it is no such study.
+    """
     if not isinstance(study, Mapping) or field not in study:
         held = f" of {', '.join(study)}" if isinstance(study, Mapping) else ""
         raise ValueError(
