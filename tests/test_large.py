@@ -878,6 +878,18 @@ def test_restarts_count_as_iterations():
         assert solved(free.n_iter - fewer).n_iter <= free.n_iter - fewer
 
 
+def test_iterations_end_where_rounding_allows_no_less():
+    A = spd(40, 1e3)
+    b = np.random.default_rng(25).normal(size=(40, 2))
+    found = conjugate_gradients(
+        A.__matmul__, b, lambda v: v, np.empty((40, 0)), 1e-17, 20_000
+    )
+    assert found.residual.min() > 1e-17
+    assert found.has_converged(1e-17)
+    # Every restart halves a residual: there are at most fifty.
+    assert found.n_iter < 5_000
+
+
 def test_solution_in_the_complement():
     A = spd(30, 1e4)
     P, _ = np.linalg.qr(np.random.default_rng(9).normal(size=(30, 3)))
