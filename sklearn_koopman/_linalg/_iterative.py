@@ -248,8 +248,8 @@ class IterativeSystem:
             *(self._squared_power(X[rows]) for rows in batches), strict=True
         )
         tol = self.solver.tol
-        if any(not found.residual <= tol + found.rounding for found in results):
-            residual = max(found.residual for found in results)
+        if not all(found.has_converged(tol) for found in results):
+            residual = max(found.residual.max() for found in results)
             warn(
                 "The power function is too large, by the square of a relative residual "
                 f"of up to {residual:.1e}, above tol={tol:.1e}: conjugate gradients "
@@ -309,12 +309,12 @@ class IterativeSystem:
     def _solve(self, multiply: Product, b: Array, precondition: Product) -> CGResult:
         found = self._descend(multiply, b, precondition)
         kernel, M = self.sections.kernel, self.sections.size
-        residual, solver = found.residual, self.solver
+        residual, solver = found.residual.max(), self.solver
         if not residual < 1:
             reason = f"conjugate gradients diverge (relative residual {residual:.1e})"
             raise no_estimate(kernel, M, reason)
-        if residual > solver.tol + found.rounding:
-            advice = "Rounding allows no less: raise tol."
+        if not found.has_converged(solver.tol):
+            advice = "The matrix is singular up to rounding."
             if found.n_iter >= solver.max_iter:
                 advice = MORE_ITERATIONS
             warn(
@@ -341,7 +341,8 @@ class IterativeSystem:
     ) -> Fit:
         origin = np.zeros(0) if self.trend is None else self.trend.origin
         expansion = KernelExpansion(self.sections, dual_coef, origin, trend_coef)
-        return Fit(expansion, seminorm, dof, None, found.n_iter, found.residual)
+        residual = float(found.residual.max())
+        return Fit(expansion, seminorm, dof, None, found.n_iter, residual)
 
     def _squared_power(self, X: Array) -> tuple[Array, CGResult]:
         """Evaluate the squared power function, and how well the weights converged.
