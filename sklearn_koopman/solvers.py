@@ -65,8 +65,11 @@ class ConjugateGradient(BaseEstimator):
     Memory is M times the number of neighbours within the support, plus M times
     `n_neighbors` or `rank`. One iteration takes O(M) time for kernels of compact
     support, with the number of neighbours as a factor, and O(M^2) for other kernels.
-    The fit of a regressor warns with a `ConvergenceWarning` if `max_iter` iterations do
-    not reach `tol`. The power function of a regressor, which `return_std` needs, solves
+    The fit of a regressor warns with a `ConvergenceWarning` if the residual exceeds
+    `tol` by more than rounding, or by more than 1e-6. Rounding is estimated from the
+    norms of the matrix, by some steps of the power method, and of the solution: about
+    4 sqrt(M) times the machine epsilon times both, over the norm of the right-hand
+    side. The power function of a regressor, which `return_std` needs, solves
     one system for each state.
 
     References
