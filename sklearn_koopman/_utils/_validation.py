@@ -34,7 +34,9 @@ def check_positive(values: Any, name: str) -> Array:
     good = (numbers > 0) & (numbers < np.inf)
     if numbers.ndim == 1 and numbers.size and good.all():
         return numbers
-    raise ValueError(f"{name} must be positive, finite numbers, got {values!r}.")
+    raise ValueError(
+        f"{name} must be a list of positive finite numbers, got {values!r}."
+    )
 
 
 def check_flag(value: Any, name: str) -> None:
