@@ -347,7 +347,7 @@ def choose_centers(
                 f"centers={centers!r} has no cluster_centers_ after fit; use "
                 "SeparatedCenterSelector, KMeans, or an array of centres."
             )
-        points = np.asarray(selector.cluster_centers_, dtype=np.float64)
+        points = np.array(selector.cluster_centers_, dtype=np.float64)
         own = getattr(selector, "center_indices_", None)
         # The rows of a frozen selector may be those of other data.
         if own is not None and own.max() < len(X) and np.array_equal(X[own], points):

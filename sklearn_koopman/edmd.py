@@ -312,7 +312,8 @@ default=None
             contradict each other; if no row has a successor; if a centre is no row
             with a successor where interpolation needs it; if no solution is found, as
             with ``solver="cholesky"`` and a Gram matrix that is not positive definite;
-            if least squares has a linear trend that the centres do not determine.
+            if least squares has a linear trend that rows determine, but the centres do
+            not.
 
         Warns
         -----
@@ -341,7 +342,7 @@ default=None
                 X[here], X_next, targets, every_row=self.centers is None and not more
             )
         except ValueError as error:
-            if len(here) == len(X):
+            if len(here) == len(X) or "row" not in str(error):
                 raise
             raise ValueError(
                 f"{error} (Rows are counted among the {len(here)} with a successor.)"
@@ -355,13 +356,20 @@ default=None
         spectrum = decompose(
             system, matrix, coordinates, *pairs, self.alpha, self.n_modes
         )
+        lam, phi, residuals, weights, rcond_of_eigenvectors = spectrum
+        is_reduced = 0 < len(lam) < len(matrix)
+        if is_reduced:
+            functions = phi.combine(pack_weights(weights, lam))
+        else:
+            functions = system.expand(coordinates)
+        rcond = system.rcond()
         # Attributes are set last: a fit that fails leaves the estimator as it was.
         validate_data(self, given, skip_check_array=True)
         self.kernel_ = system.sections.kernel
         assert isinstance(system.sections, KernelSections)
         self.centers_ = system.sections.centers
         self.center_indices_ = None if found.rows is None else here[found.rows]
-        self.rcond_ = system.rcond()
+        self.rcond_ = rcond
         self.rank_ = len(matrix)
         self._consecutive = consecutive
         self._output_shape = (X if y is None else y).shape[1:]
@@ -377,14 +385,9 @@ default=None
         self._system = system
         largest = np.abs(outputs if more else targets[:, :n_outputs]).max(axis=0)
         self._limit = DIVERGED * np.maximum(largest, 1e-6 * largest.max())
-        self.koopman_matrix_ = matrix
-        self._start: Array | None = coordinates[:, :n_outputs]
-        lam, phi, self.residuals_, weights, self._rcond_of_eigenvectors = spectrum
-        if 0 < len(lam) < len(matrix):
-            self.koopman_matrix_, self._start = block_diagonal(lam), None
-            functions = phi.combine(pack_weights(weights, lam))
-        else:
-            functions = system.expand(coordinates)
+        self.koopman_matrix_ = block_diagonal(lam) if is_reduced else matrix
+        self._start = None if is_reduced else coordinates[:, :n_outputs]
+        self.residuals_, self._rcond_of_eigenvectors = residuals, rcond_of_eigenvectors
         self._dual_coef, self._trend_coef = functions.dual_coef, functions.trend_coef
         self._phi_dual_coef, self._phi_trend_coef = phi.dual_coef, phi.trend_coef
         self.eigenvalues_, self._weights = lam, weights[:, :n_outputs]

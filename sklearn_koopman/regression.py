@@ -36,6 +36,7 @@ from ._regression._estimate import Estimate, keep_averages
 from ._regression._partial_fit import (
     add_centers,
     add_rows,
+    check_batch,
     check_can_grow,
     start_least_squares,
 )
@@ -290,9 +291,9 @@ default="auto"
             output is needed; if equal rows have different outputs where every row is
             interpolated; if least squares with ``alpha=0`` has fewer rows than
             centres, or rows that do not determine the coefficients; if least squares
-            has a linear trend that the centres do not determine; if no solution is
-            found, as with ``solver="cholesky"`` and a Gram matrix that is not positive
-            definite, or with conjugate gradients that diverge.
+            has a linear trend that rows determine, but the centres do not; if no
+            solution is found, as with ``solver="cholesky"`` and a Gram matrix that is
+            not positive definite, or with conjugate gradients that diverge.
 
         Warns
         -----
@@ -373,7 +374,8 @@ default="auto"
 
         Notes
         -----
-        The parameters must be those of the first batch. k new centres take O(k M^2)
+        The parameters must be those of the first batch, but `alpha` and a selector may
+        change: then all is factored anew. k new centres take O(k M^2)
         time, and n rows of least squares O(n M^2).
 
         If new centres make the Gram matrix nearly singular, it is factored anew and
@@ -389,11 +391,8 @@ default="auto"
             validate_data(self, given, reset=False, skip_check_array=True)
         X, y = self._check_data(X, y)
         self._check_parameters()
-        if started and y.shape[1:] != self.dual_coef_.shape[1:]:
-            raise ValueError(
-                f"y has shape {y.shape}, but earlier batches had outputs of shape "
-                f"{self.dual_coef_.shape[1:]}; give the same outputs in every batch."
-            )
+        if started:
+            check_batch(self, self._direct_system(), y)
         outputs, growth = y.reshape(len(y), -1), getattr(self, "_growth", None)
         if self._interpolates_centers:
             system, averages = self._direct_system(), AveragedOutputs(*self._averages)
@@ -600,7 +599,7 @@ default="auto"
         for name in _NOT_PICKLED:
             state.pop(name, None)
         given, own = state["centers"], state.get("centers_")
-        if isinstance(given, np.ndarray) and own is not None:
+        if own is not None and getattr(given, "dtype", None) == own.dtype:
             state["centers_"] = given if np.array_equal(given, own) else own
         return state
 

@@ -186,14 +186,15 @@ default=None
     does not apply or is not accurate enough: if some of several equal rows that are
     one centre are held out, if least squares tests a row that it has learned from, if
     the training rows do not determine the trend or the coefficients, or if rounding
-    may change more than 1e-9 of the residuals of the fold.
+    may change more than 1e-9 of the residuals of a fold (of a small one, for least
+    squares).
 
     *Centres.* A selector is fitted once to all rows, so the centres depend on the
     states (not the outputs) of the held-out rows. For interpolation, a fold drops the
     centres that it holds out; the scores are therefore slightly lower than those of a
     `GridSearchCV`, which selects new centres in each fold. If the matrix of the
     centres is numerically singular, the closed form uses the centres that the
-    regressor keeps on all rows.
+    regressor keeps on all rows. A refit might keep others, and its score differ.
 
     *Costs.* With M centres and n rows, interpolation takes O(M^3) time for each
     kernel, scale and alpha, and O(M |S|^2) for each fold. Least squares takes

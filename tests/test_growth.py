@@ -376,7 +376,7 @@ def test_systems_that_grow_from_one_go_on_independently(trend):
 def test_growth_refuses_other_weights_of_earlier_centres():
     X, u = samples(30, repeats=False)
     start = GrowingSystem(direct_system(X[:20], nugget=0.1), u[:20])
-    with pytest.raises(np.linalg.LinAlgError, match="weights of centres"):
+    with pytest.raises(np.linalg.LinAlgError, match="weights have changed"):
         extended(start, X, u, nugget=0.05)
 
 
@@ -1366,3 +1366,48 @@ def test_rows_fewer_than_workers(backends):
     with joblib.parallel_config("counting", n_jobs=20):
         assert_same_sums(summed(n_rows=6), expected)
     assert Counting.tasks == 6 * [[1, 1]]
+
+
+# Parameters that change between batches.
+
+
+CHANGES = {
+    "kernel": {"kernel": "matern52"},
+    "scale": {"beta": 3.0},
+    "trend": {"trend": "linear"},
+    "method": {"method": "least_squares", "centers": None},
+    "centres": {"method": "least_squares", "centers": np.zeros((3, 2))},
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_changed_parameters_are_refused(change):
+    X, y = samples(60)
+    centers = (
+        X[:10] if change in ("method", "centres") else SeparatedCenterSelector(0.3)
+    )
+    method = "least_squares" if change in ("method", "centres") else "interpolation"
+    model = KoopmanKernelRegressor(beta=1.0, centers=centers, method=method)
+    model.partial_fit(X[:30], y[:30])
+    before = model.predict(X)
+    model.set_params(**CHANGES[change])
+    with pytest.raises(ValueError, match="Parameters were changed since the first"):
+        model.partial_fit(X[30:], y[30:])
+    np.testing.assert_array_equal(model.predict(X), before)
+
+
+@pytest.mark.parametrize("separation", [0.05, 0.1, 0.15, 0.3])
+@pytest.mark.parametrize("alpha", [0.0, 0.01])
+def test_another_separation_selects_anew(separation, alpha):
+    """A wider one drops earlier centres, which must not stay in the factor."""
+    rng = np.random.default_rng(3)
+    X = rng.uniform(size=(60, 2))
+    y = X @ [1.0, 3.0]
+    centers = SeparatedCenterSelector(0.1)
+    model = KoopmanKernelRegressor(beta=1.0, centers=centers).fit(X[:20], y[:20])
+    model.set_params(centers=SeparatedCenterSelector(separation), alpha=alpha)
+    model.partial_fit(X[20:], y[20:])
+    chosen = model.center_indices_
+    np.testing.assert_array_equal(model.centers_, X[chosen])
+    once = KoopmanKernelRegressor(beta=1.0, centers=X[chosen], alpha=alpha).fit(X, y)
+    np.testing.assert_allclose(model.predict(X), once.predict(X), atol=1e-8)

@@ -132,3 +132,21 @@ def test_condition_number_survives_storage():
     assert "_system" not in vars(loaded)
     assert loaded.rcond_ == model.rcond_
     assert "_system" not in vars(loaded)  # it took no new factorisation
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.int64, np.float64])
+def test_centres_keep_their_precision(dtype):
+    """Single precision would lose what differences of large coordinates hold."""
+    rng = np.random.default_rng(1)
+    X = (1000 + rng.integers(-40, 40, (200, 2)) / 64).astype(dtype)
+    X = np.unique(X, axis=0)
+    y = np.sin(X[:, 0])
+    model = KoopmanKernelRegressor(
+        beta=0.05, centers=X[::4], method="least_squares", alpha=1e-8, trend="linear"
+    )
+    if dtype is np.int64:
+        model.set_params(trend=None, beta=1.0)
+    model.fit(X, y)
+    loaded = pickle.loads(pickle.dumps(model))
+    assert loaded.centers_.dtype == np.float64
+    np.testing.assert_array_equal(loaded.predict(X), model.predict(X))

@@ -105,7 +105,8 @@ def fit_operator(
             return np.hstack([system.functions(X_next[rows]).T, targets[rows]])
 
         n_images = M + targets.shape[1]
-        z, b, dof = least_squares(system, X, images, n_images, alpha, n_jobs)
+        # Not in shares of the rows, whose images would all be held at once.
+        z, b, dof = least_squares(system, X, images, n_images, alpha)
         fit = system.fit_at(X, z[:, M:], b[:, M:], dof)
         noise_std = estimate_noise(fit.expansion, X, targets, dof, n_jobs)
         fit = fit._replace(noise_std=noise_std)

@@ -73,8 +73,9 @@ class GrowingSystem(DirectSystem):
         grown = copy(self)
         grown.blocks = list(self.blocks)
         M = self.sections.size
-        if not np.array_equal(nugget[:M], self.nugget):
-            raise np.linalg.LinAlgError("the weights of centres have changed")
+        same = np.array_equal(sections.centers[:M], self.sections.points)
+        if not (same and np.array_equal(nugget[:M], self.nugget)):
+            raise np.linalg.LinAlgError("earlier centres or weights have changed")
         if sections.size > M:
             grown._add_centers(sections, nugget, u)
         differs = (u[:M] != self.u).any(axis=1)

@@ -19,6 +19,7 @@ from .._matrices._sections import KernelSections, Sections
 from .._utils._rows import AveragedOutputs, average_equal_rows
 from .._utils._typing import Array
 from ..centers import SeparatedCenterSelector
+from ..kernels import as_kernel
 from ..solvers import ConjugateGradient
 from ._estimate import Estimate, keep_averages
 
@@ -56,6 +57,27 @@ def check_can_grow(model: Any) -> bool:
             "partial_fit from the first batch on."
         )
     return True
+
+
+def check_batch(model: Any, system: DirectSystem, y: Array) -> None:
+    """Refuse outputs and parameters that are not those of the first batch."""
+    shape, known = model.dual_coef_.shape[1:], system.offered
+    if y.shape[1:] != shape:
+        raise ValueError(
+            f"y has shape {y.shape}, but earlier batches had outputs of shape {shape}; "
+            "give the same outputs in every batch."
+        )
+    kernel = as_kernel(model.kernel, model.beta, known.points.shape[1])
+    same = kernel == known.kernel and DEGREES[model.trend] == system.degree
+    if model.method == "interpolation" or model.centers is None:
+        same = same and hasattr(model, "_averages")
+    else:
+        same = same and np.array_equal(model.centers, known.points)
+    if not same:
+        raise ValueError(
+            "Parameters were changed since the first batch; set them back, or call fit "
+            "to start anew."
+        )
 
 
 def add_centers(
