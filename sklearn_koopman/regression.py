@@ -69,6 +69,12 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     functions k(., xi_i) of a kernel k, one for each of M centres xi_i ([1]_). The
     kernel is one on the whole space of states, so that the manifold need not be known.
 
+    Four terms recur. The Gram matrix holds the values of the kernel between centres.
+    The native space of the kernel is its reproducing kernel Hilbert space, with the
+    native norm. The power function at a state is the distance, in this norm, of the
+    section there from the span of the sections of the centres: it is zero at the
+    centres and grows away from them. The trend is a polynomial beside the sections.
+
     Parameters
     ----------
     kernel : str or Kernel, default="matern32"
@@ -104,8 +110,7 @@ class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         If every row is a centre, both are the same.
     alpha : float, default=0.0
         Weight of the squared native norm of the estimate against the squared
-        residuals. The native norm is the norm of the reproducing kernel Hilbert space
-        of the kernel, its native space. 0 means no penalty.
+        residuals. 0 means no penalty.
     trend : {None, "constant", "linear"}, default=None
         A polynomial that is solved for together with the kernel sections. Far from
         the centres, predictions are close to it. Take "linear" for outputs that change
@@ -160,6 +165,7 @@ default="auto"
         sqrt(alpha)``. Otherwise the root of the sum of squared residuals over the
         number of rows less the effective number of parameters; the latter is
         estimated by `ConjugateGradient`, so that `noise_std_` is good to about 1 %.
+        If hardly any rows are spare, it is ``signal_std_ * sqrt(alpha)`` as well.
     solver_ : str or ConjugateGradient
         The solver used: "pivoted_cholesky", "cholesky" or a `ConjugateGradient`.
     n_iter_ : int

@@ -250,7 +250,7 @@ class ForecastScorer(ABC):
             return self._score(squared, outputs.shape[1])
 
     def get_metadata_routing(self) -> MetadataRequest:
-        """Request `sample_index`, from which the scorer knows which rows follow others.
+        """Request `sample_index`, from which the successors of rows follow.
 
         Returns
         -------

@@ -2,7 +2,7 @@
 
 Systems are given by their product with several columns at once, restricted to the
 orthogonal complement of a few columns P where there are any: that is how a polynomial
-tail is solved for together with the kernel part.
+trend is solved for together with the kernel part.
 """
 
 from collections.abc import Callable

@@ -71,7 +71,7 @@ def neighbor_preconditioner(
     K_i^-1 e_i, divided by the root of its last entry: of all matrices with these
     entries, W makes the Kullback-Leibler divergence of the two Gaussian distributions
     the smallest (Schaefer, Katzfuss and Owhadi 2021). For kernels of finite
-    smoothness, centres farther away tell next to nothing.
+    smoothness, centres farther away contribute almost nothing.
     """
     n = len(points)
     # In units of the largest value: a kd-tree finds no neighbour at a distance whose
@@ -116,7 +116,7 @@ def _conditional(kernel: Kernel, x: Array, diagonal: Array) -> Array:
     row = np.zeros((n, size))
     todo = np.arange(n)
     # A preconditioner may differ a little from the matrix: better that than none for
-    # centres that rounding does not tell apart.
+    # centres that rounding does not distinguish.
     for jitter in (0.0, 1e-12, 1e-8, 1e-4):
         K[todo[:, np.newaxis], entries, entries] += jitter * diagonal[todo]
         try:
