@@ -24,6 +24,7 @@ from ._linalg._systems import (
 from ._matrices._polynomial import DEGREES
 from ._matrices._sections import KernelExpansion, KernelSections
 from ._utils._rows import distinct_rows, group_means
+from ._utils._storage import StoresCentersOnce
 from ._utils._typing import Array, Complex, Indices, Mask
 from ._utils._validation import (
     check_flag,
@@ -45,7 +46,7 @@ MIN_RCOND_OF_EIGENVECTORS = 1e-7
 DIVERGED = 1e3
 
 
-class KernelEDMD(MultiOutputMixin, RegressorMixin, BaseEstimator):
+class KernelEDMD(StoresCentersOnce, MultiOutputMixin, RegressorMixin, BaseEstimator):
     """Kernel estimate of the Koopman operator, with its spectrum and its forecasts.
 
     States follow an unknown map, x_{k+1} = f(x_k). The Koopman operator of the map

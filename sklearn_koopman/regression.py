@@ -41,6 +41,7 @@ from ._regression._partial_fit import (
     start_least_squares,
 )
 from ._utils._rows import AveragedOutputs, average_equal_rows
+from ._utils._storage import StoresCentersOnce
 from ._utils._typing import Array, Indices
 from ._utils._validation import (
     MAX_MAGNITUDE,
@@ -56,7 +57,9 @@ from .solvers import ConjugateGradient, check_solver
 __all__ = ["KoopmanKernelRegressor"]
 
 
-class KoopmanKernelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
+class KoopmanKernelRegressor(
+    StoresCentersOnce, MultiOutputMixin, RegressorMixin, BaseEstimator
+):
     """Kernel estimate of the Koopman operator acting on measured outputs.
 
     States follow an unknown map, x_{k+1} = f(x_k), on an unknown manifold. Outputs
@@ -598,22 +601,13 @@ default="auto"
         return self._rcond
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out the matrices, which follow from the rest; keep arrays once."""
+        """Leave out the matrices, which follow from the rest."""
         if isinstance(getattr(self, "_system", None), DirectSystem):
             _ = self.rcond_  # it would take the matrices
         state = dict(super().__getstate__())
         for name in _NOT_PICKLED:
             state.pop(name, None)
-        given, own = state["centers"], state.get("centers_")
-        if own is not None and getattr(given, "dtype", None) == own.dtype:
-            state["centers_"] = given if np.array_equal(given, own) else own
         return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the state, with centres of its own."""
-        super().__setstate__(state)
-        if hasattr(self, "centers_") and self.centers_ is self.centers:
-            self.centers_ = np.copy(self.centers)
 
     @property
     def _is_precomputed(self) -> bool:

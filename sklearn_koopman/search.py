@@ -33,6 +33,7 @@ from ._regression._candidates import (
 )
 from ._utils._parallel import one_thread
 from ._utils._rows import distinct_rows
+from ._utils._storage import StoresCentersOnce
 from ._utils._typing import Array
 from ._utils._validation import check_number, check_parameters
 from ._utils._warnings import warn
@@ -43,7 +44,9 @@ from .regression import KoopmanKernelRegressor
 __all__ = ["KoopmanKernelRegressorCV"]
 
 
-class KoopmanKernelRegressorCV(MultiOutputMixin, RegressorMixin, BaseEstimator):
+class KoopmanKernelRegressorCV(
+    StoresCentersOnce, MultiOutputMixin, RegressorMixin, BaseEstimator
+):
     """Kernel estimate of the Koopman operator with built-in cross-validation.
 
     This estimator chooses the kernel, its scale `beta` and the weight `alpha` of a
