@@ -109,6 +109,9 @@ PAIRS = [
             covering(centers=CENTERS, method=METHODS, trend=TRENDS),
             strict=False,
         )
+        # A separation of 1 leaves one or two centres of the samples of some checks.
+        # They determine no linear trend, which least squares refuses.
+        if (method, trend) != ("least_squares", "linear") or centers is not CENTERS[2]
     ),
     *(
         KernelEDMD(centers=centers, method=method, trend=trend)
