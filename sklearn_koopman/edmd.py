@@ -18,7 +18,7 @@ from ._linalg._systems import (
     METHODS,
     SOLVERS,
     DirectSystem,
-    fit_every_row,
+    interpolate_every_row,
     restore_system,
 )
 from ._matrices._polynomial import DEGREES
@@ -631,7 +631,9 @@ default=None
             counted = np.full(len(X), self.centers is not None)
             return _Operator(system, fit, matrix, coordinates, rows, counted)
         first, group, counts = distinct_rows(X)
-        means = group_means(np.hstack([X_next, targets]), group)[group]
+        means = np.hstack([X_next, targets])
+        if len(first) < len(X):
+            means = group_means(means, group)[group]
         mean_next, mean_targets = np.split(means, [X_next.shape[1]], axis=1)
         all_targets = targets
         if every_row:
@@ -647,7 +649,7 @@ default=None
             fit = system.interpolate(targets[rows])
         else:
             data = targets[rows], X, all_targets
-            fit = fit_every_row(system, *data, self.alpha, self.n_jobs)
+            fit = interpolate_every_row(system, *data, self.alpha, self.n_jobs)
         rows = rows[system.kept]
         lots = group if every_row else np.arange(len(X))
         matrix, coordinates = interpolate_operator(system, X_next, targets, rows, lots)

@@ -15,7 +15,7 @@ from ._linalg._systems import (
     SOLVERS,
     DirectSystem,
     System,
-    fit_every_row,
+    interpolate_every_row,
     make_system,
     restore_system,
 )
@@ -325,7 +325,7 @@ default="auto"
                 fit = system.interpolate(averages.means)
             else:
                 data = averages.means, X, outputs
-                fit = fit_every_row(system, *data, self.alpha, self.n_jobs)
+                fit = interpolate_every_row(system, *data, self.alpha, self.n_jobs)
             if len(system.kept) < len(nugget):
                 averages = keep_averages(averages, fit, system.kept, sections.points)
         else:

@@ -146,7 +146,7 @@ def make_system(
     return DirectSystem(sections, nugget, degree, solver, extent)
 
 
-def fit_every_row(
+def interpolate_every_row(
     system: System, u: Array, X: Array, y: Array, alpha: float, n_jobs: int | None
 ) -> Fit:
     """Return the least-squares fit of all rows if every row is a centre.
