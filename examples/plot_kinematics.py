@@ -270,9 +270,7 @@ def draw_leg(ax, leg, rate):
     colors = plt.cm.ScalarMappable(plt.Normalize(0, frames[-1] / rate), "viridis")
     ax.figure.colorbar(colors, ax=ax, label="time [s]", location="bottom", shrink=0.8)
     ax.set(
-        xlabel="forward of the hip [mm]",
-        ylabel="above the hip [mm]",
-        aspect="equal",
+        xlabel="forward of the hip [mm]", ylabel="above the hip [mm]", aspect="equal"
     )
 
 

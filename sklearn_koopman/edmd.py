@@ -273,12 +273,7 @@ default=None
         self.n_jobs = n_jobs
 
     def fit(
-        self,
-        X: Any,
-        y: Any = None,
-        *,
-        X_next: Any = None,
-        sample_index: Any = None,
+        self, X: Any, y: Any = None, *, X_next: Any = None, sample_index: Any = None
     ) -> Self:
         """Choose the centres, estimate the operator and analyse its spectrum.
 

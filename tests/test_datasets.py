@@ -538,11 +538,7 @@ def test_bad_tab_separated_file(write, text, options, message):
         ("\tUnits\t", "\tunit\t", r"line 3: Units must be .*'m', got ''"),
         ("Frame#\t", "#\t", r"line 4: found '#.*expected 'Frame#', 'Time'"),
         ("R.Knee\t\t", "R.Hip\t\t", r"marker 'R.Hip' has 2 columns 'R.HipX'"),
-        (
-            "Y2\tZ2",
-            "Y2",
-            r"lines 3 to 5: .* 2 names and 5 columns, not 3 for each",
-        ),
+        ("Y2\tZ2", "Y2", r"lines 3 to 5: .* 2 names and 5 columns, not 3 for each"),
         ("Y1\t", "Q1\t", r"marker 'R.Hip' has 0 columns 'R.HipY'"),
         ("\tZ2\n", "\tZ2\tX3\n", r"2 names and 7 columns, not 3 for each"),
         ("\t481\t", "\t\t", r"'R.Knee' in 1 frames, first in line 8"),

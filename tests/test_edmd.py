@@ -776,10 +776,7 @@ LEGITIMATE = {
     "expansion": scattered(2.0 * np.eye(2)),
     "grid": (grid, 0.5 * grid + 3),
     "logistic": (grid / 2 + 0.5, 4 * (grid / 2 + 0.5) * (0.5 - grid / 2)),
-    "every third sample": (
-        make_pendulum(90).X[::3],
-        make_pendulum(90).X_next[::3],
-    ),
+    "every third sample": (make_pendulum(90).X[::3], make_pendulum(90).X_next[::3]),
     "every second of a spiral": (spiral[:-1:2], spiral[1::2]),
     "constant feature": scattered(np.diag([0.5, 0.0])),
     "noise": (

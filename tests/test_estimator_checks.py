@@ -60,10 +60,7 @@ REGRESSORS = [
         trend="constant",
     ),
     KoopmanKernelRegressor(
-        Wendland(5.0, 4),
-        centers=SeparatedCenterSelector(1.0),
-        trend="linear",
-        n_jobs=2,
+        Wendland(5.0, 4), centers=SeparatedCenterSelector(1.0), trend="linear", n_jobs=2
     ),
     KoopmanKernelRegressor(
         "inverse_multiquadric",

@@ -552,21 +552,14 @@ def test_strict_solver_refuses_dependent_centres():
     assert_array_equal(model.predict(X), before)
     with pytest.raises(ValueError, match="No estimate for kernel=Gaussian"):
         KoopmanKernelRegressor(
-            "gaussian",
-            beta=2.0,
-            solver="cholesky",
-            centers=X,
-            method="least_squares",
+            "gaussian", beta=2.0, solver="cholesky", centers=X, method="least_squares"
         ).partial_fit(X, X[:, 0])
 
 
 def test_selector_forgets_a_batch_that_failed():
     X = np.linspace(0, 1, 15)[:, np.newaxis]
     model = KoopmanKernelRegressor(
-        "gaussian",
-        beta=0.5,
-        solver="cholesky",
-        centers=SeparatedCenterSelector(0.01),
+        "gaussian", beta=0.5, solver="cholesky", centers=SeparatedCenterSelector(0.01)
     )
     first, more = X[::2], np.array([[3.0], [5.0]])
     expected = clone(model).fit(np.vstack([first, more]), np.vstack([first, more]))
@@ -778,11 +771,7 @@ def test_bad_first_batch_leaves_nothing():
 
 
 @pytest.mark.parametrize(
-    "parameters",
-    [
-        {},
-        pytest.param({"centers": GIVEN, "method": "least_squares"}),
-    ],
+    "parameters", [{}, pytest.param({"centers": GIVEN, "method": "least_squares"})]
 )
 def test_bad_names_of_the_first_batch_leave_nothing(parameters):
     X, y = samples(40, noise=False)

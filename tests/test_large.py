@@ -126,7 +126,7 @@ def test_scikit_learn_check_of_interpolation(estimator, check):
             method="least_squares",
             solver=ConjugateGradient(),
             trend="constant",
-        ),
+        )
     ]
 )
 def test_scikit_learn_check_of_least_squares(estimator, check):
@@ -235,9 +235,7 @@ def test_foreign_kernels(kernel, method, trend):
 
 
 @every_pair(
-    alpha=[1e-2, 3.0],
-    method=["interpolation", "least_squares"],
-    trend=[None, "linear"],
+    alpha=[1e-2, 3.0], method=["interpolation", "least_squares"], trend=[None, "linear"]
 )
 def test_equal_rows_count(alpha, method, trend):
     X = np.vstack([STATES, STATES[:50], STATES[:20]])

@@ -96,12 +96,7 @@ def convergence(slope=3.0, guaranteed=1.5, kernel="MaternSobolev(beta=2, nu=1.5)
         rms_slope=slope + 1,
         rms_slope_interval=np.array([slope + 0.8, slope + 1.2]),
         guaranteed_slope=guaranteed,
-        rates=Bunch(
-            tau=2.5,
-            s=2.0,
-            sup_exponent=1.5,
-            rms_exponent=guaranteed + 0.5,
-        ),
+        rates=Bunch(tau=2.5, s=2.0, sup_exponent=1.5, rms_exponent=guaranteed + 0.5),
         kernel=kernel,
         confidence=0.9,
     )

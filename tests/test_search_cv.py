@@ -717,10 +717,7 @@ def test_equal_rows_with_different_outputs_need_a_weight():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (
-            {"kernels": "matern32"},
-            "kernels must be a non-empty list, got 'mat",
-        ),
+        ({"kernels": "matern32"}, "kernels must be a non-empty list, got 'mat"),
         ({"kernels": Gaussian()}, "kernels must be a non-empty list"),
         ({"kernels": []}, "kernels must be a non-empty list"),
         ({"kernels": ["cubic"]}, "kernel must be one of .* got 'cubic'"),

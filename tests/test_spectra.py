@@ -505,10 +505,7 @@ def test_pendulum_has_its_frequency_and_harmonics(
     frequency = orbit[1]
     pendulum = samples_of_pendulum(n_samples)
     model = KernelEDMD(
-        kernel,
-        beta=beta,
-        centers=SeparatedCenterSelector(separation),
-        method=method,
+        kernel, beta=beta, centers=SeparatedCenterSelector(separation), method=method
     ).fit(pendulum.X, X_next=pendulum.X_next)
     if n_samples == 256:
         assert len(model.centers_) == 37

@@ -182,9 +182,7 @@ def restore_system(
 
 
 def is_dense_affordable(
-    sections: Sections,
-    memory: float | None = None,
-    dense_centers: int = DENSE_CENTERS,
+    sections: Sections, memory: float | None = None, dense_centers: int = DENSE_CENTERS
 ) -> bool:
     """Tell whether a dense Gram matrix fits into memory and is not mostly zero."""
     if not isinstance(sections, KernelSections):

@@ -181,8 +181,7 @@ class KernelExpansion(NamedTuple):
     def take(self, outputs: Indices | slice) -> Self:
         """Return the function of some of the outputs."""
         return self._replace(
-            dual_coef=self.dual_coef[:, outputs],
-            trend_coef=self.trend_coef[:, outputs],
+            dual_coef=self.dual_coef[:, outputs], trend_coef=self.trend_coef[:, outputs]
         )
 
 

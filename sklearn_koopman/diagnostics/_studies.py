@@ -354,12 +354,7 @@ def conditioning_study(
 
 
 def crowding_study(
-    kernel: Any,
-    X: Any,
-    separations: Any,
-    gaps: Any,
-    *,
-    beta: float | None = None,
+    kernel: Any, X: Any, separations: Any, gaps: Any, *, beta: float | None = None
 ) -> Bunch:
     """Measure the smallest eigenvalue of a Gram matrix with one pair of close centres.
 
