@@ -11,7 +11,7 @@ from scipy.linalg.blas import dgemm
 from .._matrices._polynomial import PolynomialTrend
 from .._matrices._sections import KernelSections, gram_matrix, matrix
 from .._utils._typing import Array
-from ._cholesky import MIN_RCOND, PIVOT_OPTIMISM, RCOND_TO_VERIFY, pivot_rcond
+from ._cholesky import MIN_RCOND, RCOND_TO_VERIFY, pivot_rcond
 from ._fit import Fit, check_trend_determined, relative_error, scale_residuals
 from ._least_squares import NormalEquations
 from ._systems import DirectSystem
@@ -20,6 +20,8 @@ from ._systems import DirectSystem
 # this part of the first ones.
 MAX_BLOCKS = 64
 MAX_ADDED_PART = 0.25
+# The pivots of a factor may bound the condition number this many times too low.
+PIVOT_OPTIMISM = 1e3
 # Centres at which a suspect interpolant is verified, besides those that changed.
 VERIFIED_CENTERS = 128
 

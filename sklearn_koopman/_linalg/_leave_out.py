@@ -32,11 +32,11 @@ from scipy.linalg.lapack import dpocon, dposv, dpotrs, dtrtri
 from .._utils._typing import Array, Indices
 from ._cholesky import (
     MIN_RCOND,
-    PIVOT_OPTIMISM,
     RCOND_TO_VERIFY,
     cholesky,
     exact_rcond,
     pivot_rcond,
+    probe_rcond,
 )
 
 # Largest error of the interpolant at the centres, relative to the outputs.
@@ -276,9 +276,10 @@ def _factor(A: Array, min_rcond: float, diagonal: Array | float = 0.0) -> Array:
     """
     F = np.triu(A).T  # in Fortran order, and zero above the diagonal
     F[np.diag_indices(len(F))] += diagonal
+    trace = float(np.trace(F))
     lower = cholesky(F)
-    rcond = pivot_rcond(lower.diagonal())
-    if rcond < PIVOT_OPTIMISM * RCOND_TO_VERIFY:
+    rcond = probe_rcond(lower, trace)
+    if rcond < RCOND_TO_VERIFY:
         size = np.abs(np.triu(A))
         norm = (size.sum(axis=0) + size.sum(axis=1) + np.abs(diagonal)).max()
         rcond = exact_rcond(lower, norm)
