@@ -2,10 +2,11 @@ import os
 from pathlib import Path
 
 # Before NumPy and SciPy are imported. Without the first, scikit-learn skips its array
-# API check. With the second, threads of OpenBLAS sleep after a few cycles without work:
-# they wait actively for some 20 ms otherwise, which makes work with the many small
-# matrices here several times slower wherever something else needs the processor.
+# API check. Threads of OpenBLAS do not pay for the many small matrices here. Where they
+# are asked for, they sleep after a few cycles without work: they wait actively for some
+# 20 ms otherwise, which is several times slower where others need the processor.
 os.environ["SCIPY_ARRAY_API"] = "1"
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
 
 import pytest
