@@ -440,6 +440,9 @@ def test_rcond_after_growth_is_an_upper_bound(parameters):
     assert model.rcond_ <= few.rcond_
     assert pickle.loads(pickle.dumps(model)).rcond_ == model.rcond_
     assert few.partial_fit(X[50:], y[50:]).rcond_ == model.rcond_
+    # It starts from the number of the first batch, not from a rough estimate of it.
+    first = clone(model).partial_fit(X[:79], y[:79]).rcond_
+    assert_allclose(grown(clone(model), X, y, [79]).rcond_, first, rtol=1e-9)
 
 
 def test_noise_term_of_the_kernel_is_on_the_diagonal_of_added_centres():

@@ -48,7 +48,7 @@ def factorize(K: Array, norm: float) -> tuple[Array, float]:
     -------
     lower : ndarray of shape (M, M)
         The factor.
-    rcond_bound : float
+    rough_rcond : float
         Its reciprocal condition number, from a cheap estimate where that is not below
         `RCOND_TO_VERIFY`.
 
@@ -58,12 +58,12 @@ def factorize(K: Array, norm: float) -> tuple[Array, float]:
         If the matrix is not numerically positive definite.
     """
     lower = cholesky(K)
-    rcond_bound = probe_rcond(lower, norm)
-    if rcond_bound < RCOND_TO_VERIFY:
-        rcond_bound = exact_rcond(lower, norm)
-    if not rcond_bound >= MIN_RCOND:
+    rough_rcond = probe_rcond(lower, norm)
+    if rough_rcond < RCOND_TO_VERIFY:
+        rough_rcond = exact_rcond(lower, norm)
+    if not rough_rcond >= MIN_RCOND:
         raise np.linalg.LinAlgError("the Gram matrix is numerically singular")
-    return lower, rcond_bound
+    return lower, rough_rcond
 
 
 def probe_rcond(lower: Array, norm: float) -> float:

@@ -15,8 +15,6 @@ REMEDY = (
     "Choose centres with a larger separation, lower beta, raise alpha, or take a less "
     "smooth kernel."
 )
-
-
 # Least squares needs this part of the rows beyond the number of its parameters for an
 # estimate of the noise.
 MIN_SPARE_PART = 1e-6

@@ -46,7 +46,7 @@ class OrthonormalBasis(Protocol):
 
     sections: Sections
     lower: Array
-    rcond_bound: float
+    rough_rcond: float
     Q: Array
 
     def design(self, X: Array) -> tuple[Array, Array]:
@@ -140,8 +140,8 @@ class NormalEquations:
         if q:
             dsyrk(along_Q, Q, 1.0, N, overwrite_c=1)
         N[np.diag_indices(M)] += alpha
-        if not _factor(N, min(MIN_NORMAL_RCOND, 1e-6 * basis.rcond_bound)):
-            if basis.rcond_bound < RCOND_TO_VERIFY:
+        if not _factor(N, min(MIN_NORMAL_RCOND, 1e-6 * basis.rough_rcond)):
+            if basis.rough_rcond < RCOND_TO_VERIFY:
                 raise np.linalg.LinAlgError(
                     "the normal matrix is not positive definite"
                 )

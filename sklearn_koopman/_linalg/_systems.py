@@ -363,7 +363,7 @@ class DirectSystem:
     @property
     def is_suspect(self) -> bool:
         """Whether the matrix is so near to singular that solutions are verified."""
-        return self.rcond_bound < RCOND_TO_VERIFY
+        return self.rough_rcond < RCOND_TO_VERIFY
 
     def until_sound(self, attempt: Callable[[], T], negligible: float) -> T:
         """Attempt something with fewer and fewer centres, until it succeeds."""
@@ -388,7 +388,7 @@ class DirectSystem:
         self.nugget = self.offered_nugget[self.kept]
         K, self.excess, self.norm = gram_matrix(self.sections, self.nugget)
         # Least squares adds up its normal matrix in the upper triangle, which is free.
-        self.lower, self.rcond_bound = factorize(K, self.norm)
+        self.lower, self.rough_rcond = factorize(K, self.norm)
         self.trend, P = None, np.empty((len(self.kept), 0))
         if self.degree is not None:
             points = self.sections.points
