@@ -11,7 +11,7 @@ from scipy.linalg.blas import dgemm
 from .._matrices._polynomial import PolynomialTrend
 from .._matrices._sections import KernelSections, gram_matrix, matrix
 from .._utils._typing import Array
-from ._cholesky import MIN_RCOND, RCOND_TO_VERIFY, exact_rcond, pivot_rcond
+from ._cholesky import MIN_RCOND, exact_rcond, pivot_rcond
 from ._fit import Fit, check_trend_determined, relative_error, scale_residuals
 from ._least_squares import NormalEquations
 from ._systems import DirectSystem
@@ -21,7 +21,7 @@ from ._systems import DirectSystem
 MAX_BLOCKS = 64
 MAX_ADDED_PART = 0.25
 # The pivots of a factor may bound the condition number this many times too low.
-PIVOT_OPTIMISM = 1e3
+PIVOT_OPTIMISM = 1e4
 # Centres at which a suspect interpolant is verified, besides those that changed.
 VERIFIED_CENTERS = 128
 
@@ -100,7 +100,7 @@ class GrowingSystem(DirectSystem):
         b = self.Q.T @ v
         z = v - self.Q @ b
         expansion = self._expand(z, b)
-        if self.rough_rcond < PIVOT_OPTIMISM * RCOND_TO_VERIFY:
+        if self.is_suspect:
             rows = np.arange(0, len(u), max(len(u) // VERIFIED_CENTERS, 1))
             # Errors are largest where sections nearly cancel: at what was added.
             rows = np.union1d(rows, self.changed)
@@ -129,8 +129,9 @@ class GrowingSystem(DirectSystem):
         lower = cholesky(remainder, lower=True, overwrite_a=True, check_finite=False)
         diagonals = [block[:, -len(block) :].diagonal() for block in self.blocks]
         pivots = np.concatenate([*diagonals, lower.diagonal()])
-        self.rough_rcond = min(self.rough_rcond, pivot_rcond(pivots))
-        if not self.rough_rcond > MIN_RCOND:
+        bound = pivot_rcond(pivots)
+        self.rough_rcond = min(self.rough_rcond, bound / PIVOT_OPTIMISM)
+        if not bound > MIN_RCOND:
             raise np.linalg.LinAlgError("the Gram matrix is not positive definite")
 
         def continued(before: Array, values: Array) -> Array:
