@@ -23,6 +23,7 @@ from ._linalg._systems import (
 )
 from ._matrices._polynomial import DEGREES
 from ._matrices._sections import KernelExpansion, KernelSections
+from ._utils._frames import index_level
 from ._utils._rows import distinct_rows, group_means
 from ._utils._storage import StoresCentersOnce
 from ._utils._typing import Array, Complex, Indices, Mask
@@ -289,12 +290,9 @@ default=None
             The state one step after each row, on the scale of `X`.
         sample_index : array-like of shape (n_samples,), default=None
             The place of each row on the clock of its trajectory, an integer: row j
-            succeeds row i if ``sample_index[j] == sample_index[i] + 1``. With neither
-            `X_next` nor `sample_index`, the rows are one trajectory in the order of
-            time. Cross-validation that leaves out a block of one trajectory needs one
-            of them, since the rows before and after the block do not follow each
-            other. With both, as when a scorer needs the second one, `X_next` is used,
-            and must agree.
+            succeeds row i if ``sample_index[j] == sample_index[i] + 1``. With both, as
+            when a scorer needs the second one, `X_next` is used, and must agree. With
+            neither, see the Notes.
 
         Returns
         -------
@@ -305,7 +303,9 @@ default=None
         ------
         ValueError
             If a parameter is outside its range; if `X_next` and `sample_index`
-            contradict each other; if no row has a successor; if a centre is no row
+            contradict each other; if the rows contradict their order, where only that
+            tells which rows follow each other; if no row has a successor; if a centre
+            is no row
             with a successor where interpolation needs it; if no solution is found, as
             with ``solver="cholesky"`` and a Gram matrix that is not positive definite;
             if least squares has a linear trend that rows determine, but the centres do
@@ -318,14 +318,34 @@ default=None
             scaler transforms `X` only.
         LinAlgWarning
             If dependent centres were dropped, and that may matter.
+
+        Notes
+        -----
+        Which rows follow each other is told by the first of these:
+
+        1. `X_next`.
+        2. `sample_index`.
+        3. The level "sample_index" of the index of `X`, else of `y`, as in the data
+           frames of :func:`trajectory_pairs`. Behind a step that drops the index of
+           `X`, that of `y` serves.
+        4. Any other index of `X`, else of `y`: its labels are a clock. Rows follow each
+           other if their labels are one usual step apart, so that holes are no steps.
+        5. The order of the rows, which are one trajectory then.
+
+        The last two know nothing of steps of several rows, nor the last one of several
+        trajectories and of blocks that were left out. Outputs that are columns of the
+        states, and delayed copies in the states, are compared with them. An error is
+        raised if they disagree. Other rows are trusted.
         """
-        given = X
+        given, given_y = X, y
         X, y = self._check_data(X, y)
         self._check_parameters()
         if X_next is not None:
             X_next = check_successors(given, X_next)
+        if X_next is None and sample_index is None:
+            sample_index = index_level("sample_index", given, given_y)
         consecutive = X_next is None and sample_index is None
-        here, X_next = find_successors(X, X_next, sample_index)
+        here, X_next = find_successors(X, X_next, sample_index, (given, given_y))
         outputs = X_next if y is None else y.reshape(len(y), -1)
         if y is not None:
             check_magnitude(outputs, smallest=0.0, name="y")

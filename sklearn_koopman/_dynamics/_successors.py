@@ -5,10 +5,17 @@ from typing import Any
 import numpy as np
 from sklearn.utils import check_array
 
-from .._utils._typing import Array, Indices
+from .._utils._clocks import REMEDY, read_clock
+from .._utils._typing import Array, Indices, Mask
 from .._utils._validation import check_columns, check_magnitude
 from .._utils._warnings import warn
-from ..trajectories import successor_rows
+from ..trajectories import match_successors, successor_rows
+
+# Values agree that differ by at most this part of the largest one, since some of them
+# may have been rounded to single precision.
+AGREEMENT = 1e-6
+# So many outputs are looked up among the states before all of them are.
+SAMPLE = 64
 
 
 def check_successors(X: Any, X_next: Any) -> Array:
@@ -25,7 +32,7 @@ def check_successors(X: Any, X_next: Any) -> Array:
 
 
 def find_successors(
-    X: Array, X_next: Array | None, sample_index: Any
+    X: Array, X_next: Array | None, sample_index: Any, given: tuple[Any, Any]
 ) -> tuple[Indices, Array]:
     """Return the rows of X that have a successor, and their successors.
 
@@ -36,8 +43,10 @@ def find_successors(
     X_next : ndarray of shape (n_samples, n_features) or None
         The successors of all rows, if they are given.
     sample_index : array-like of shape (n_samples,) or None
-        The place of each row on its trajectory. Without it and `X_next`, each row is
-        the successor of the row before.
+        The place of each row on its trajectory. Without it and `X_next`, the labels of
+        a data frame tell which rows follow each other, or else their order.
+    given : tuple of two array-likes
+        The states and the outputs as the user gave them. The outputs may be None.
 
     Returns
     -------
@@ -49,15 +58,18 @@ def find_successors(
     Raises
     ------
     ValueError
-        If no row has a successor, or if `X_next` and `sample_index` contradict.
+        If no row has a successor; if `X_next` and `sample_index` contradict each other,
+        or the rows their order.
 
     Warns
     -----
     UserWarning
         If `X_next` appears to be on another scale than `X`.
     """
-    rows, following = np.arange(len(X) - 1), np.arange(1, len(X))
-    if sample_index is not None:
+    rows = following = np.arange(0)
+    if X_next is None and sample_index is None:
+        rows, following = _follow_order(X, *given)
+    elif sample_index is not None:
         if np.shape(sample_index)[:1] != X.shape[:1]:
             raise ValueError(
                 f"sample_index has shape {np.shape(sample_index)}, but X has {len(X)} "
@@ -86,6 +98,86 @@ def find_successors(
             "least two, with consecutive integers along trajectories, or X_next."
         )
     return rows, X[following]
+
+
+def _follow_order(X: Array, given: Any, y: Any) -> tuple[Indices, Indices]:
+    """Link rows by the labels of a data frame, else by their order.
+
+    Neither knows of steps of several rows, and the order knows of no ends. They are
+    trusted unless the outputs, or delayed copies of the states, contradict.
+    """
+    clock = read_clock(given, y)
+    links = successor_rows(np.arange(len(X)) if clock is None else clock)
+    if len(links[0]) and y is not None:
+        _check_outputs(X, given, y, links)
+    if clock is None:
+        _check_delays(X)
+    return links
+
+
+def _check_outputs(
+    X: Array, given: Any, y: Any, links: tuple[Indices, Indices]
+) -> None:
+    """Refuse links if the outputs are columns of the states, but of other rows."""
+    outputs = np.asarray(y, dtype=np.float64).reshape(len(X), -1)
+    starts = range(X.shape[1] - outputs.shape[1] + 1)
+    if any(_agree(outputs, X, links, start).all() for start in starts):
+        return
+    matched = match_successors(given, y) if _may_match(outputs, X) else None
+    # Outputs that are the state of their own row tell nothing of successors.
+    if matched is None or np.mean(matched[0] == matched[1]) > 0.5:
+        return
+    start = max(starts, key=lambda start: _agree(outputs, X, matched, start).sum())
+    first = np.flatnonzero(~_agree(outputs, X, links, start))[0]
+    row, following = links[0][first], links[1][first]
+    where = matched[1][matched[0] == row]
+    finding = f"the state of row {where[0]}" if len(where) else "no row's state"
+    raise ValueError(
+        f"y of most rows is the state of a row. That of row {row} is {finding}, but "
+        f"row {following} would be taken to follow row {row}. {REMEDY}"
+    )
+
+
+def _check_delays(X: Array) -> None:
+    """Refuse rows in which the delayed copies of a state belong to other rows."""
+    earlier = X[:, 1:]
+    if X.shape[1] == 1 or not _may_match(X[:, :1], earlier):
+        return
+    matched = match_successors(earlier, X[:, 0])
+    if matched is None:
+        return
+    shift = int(np.median(matched[1] - matched[0]))
+    if shift < 1 or np.mean(matched[1] - matched[0] == shift) < 0.5:
+        return
+    links = np.arange(len(X) - shift), np.arange(shift, len(X))
+    agree = [_agree(X[:, :1], earlier, links, k) for k in range(earlier.shape[1])]
+    best = max(agree, key=np.sum)
+    if best.all():
+        return
+    row = int(np.flatnonzero(~best)[0])
+    raise ValueError(
+        f"Most rows hold copies of what the row {shift} before them holds, but row "
+        f"{row + shift} does not: a recording ends before it. {REMEDY}"
+    )
+
+
+def _agree(
+    outputs: Array, X: Array, links: tuple[Indices, Indices], start: int
+) -> Mask:
+    """Tell which outputs are the values in some columns of the row that is linked."""
+    columns = X[links[1], start : start + outputs.shape[1]]
+    tolerance = AGREEMENT * np.abs(outputs).max(axis=0)
+    agree: Mask = (np.abs(outputs[links[0]] - columns) <= tolerance).all(axis=1)
+    return agree
+
+
+def _may_match(outputs: Array, X: Array) -> bool:
+    """Tell whether a sample of the outputs occurs in some column of the states."""
+    sample = np.unique(outputs[:: max(len(outputs) // SAMPLE, 1), 0])
+    tolerance = AGREEMENT * np.abs(sample).max()
+    below = np.searchsorted(sample - tolerance, X, side="right")
+    occurs = below > np.searchsorted(sample + tolerance, X, side="left")
+    return bool((occurs.sum(axis=0) >= len(sample) / 4).any())
 
 
 def _is_on_another_scale(X: Array, X_next: Array) -> bool:

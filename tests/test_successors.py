@@ -1,0 +1,296 @@
+"""How an operator finds out which rows follow each other, and when it refuses."""
+
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.base import clone
+from sklearn.compose import TransformedTargetRegressor
+from sklearn.model_selection import GridSearchCV, cross_val_score
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from sklearn_koopman import (
+    KernelEDMD,
+    SeparatedCenterSelector,
+    TrajectoryKFold,
+    make_forecast_scorer,
+    trajectory_pairs,
+)
+from sklearn_koopman.datasets import make_pendulum
+
+FREQUENCY = 0.1198  # in Hz, of the pendulum that swings by 2.24 rad
+
+
+def indexed(values, pairs):
+    """A data frame with the index that trajectory_pairs of data frames makes."""
+    index = pd.MultiIndex.from_arrays(
+        [pairs.groups, pairs.sample_index], names=["trial", "sample_index"]
+    )
+    return pd.DataFrame(values, index=index)
+
+
+def operator(**settings):
+    return KernelEDMD(
+        "wendland_c4", beta=4.0, centers=SeparatedCenterSelector(0.23), **settings
+    )
+
+
+def links(model, n):
+    """The rows that have a successor: with every one a centre, all that do."""
+    return np.isin(np.arange(n), model.center_indices_)
+
+
+@pytest.fixture(scope="module")
+def swings():
+    data = make_pendulum(60, initial="random", n_trajectories=5, random_state=0)
+    return list(data.trajectories)
+
+
+@pytest.fixture(scope="module")
+def lagged():
+    return trajectory_pairs(make_pendulum(400, step=0.1).trajectories[0], lag=10)
+
+
+# A step of several rows
+
+
+@pytest.mark.parametrize("of", ["X", "y"])
+def test_frequency_of_a_lag_by_the_index(lagged, of):
+    """Steps of 1 s; taken for steps of 0.1 s, the motion would seem ten times slower."""
+    X, y = indexed(lagged.X, lagged), indexed(lagged.y, lagged)
+    given = (X, lagged.y) if of == "X" else (lagged.X, y)
+    model = operator().fit(*given)
+    frequencies = model.continuous_eigenvalues(dt=1.0)[1]
+    slow = frequencies[np.argsort(np.abs(np.abs(frequencies) - FREQUENCY))[0]]
+    assert abs(slow) == pytest.approx(FREQUENCY, abs=1e-3)
+    explicit = operator().fit(lagged.X, lagged.y, sample_index=lagged.sample_index)
+    np.testing.assert_array_equal(model.eigenvalues_, explicit.eigenvalues_)
+    error = np.abs(model.forecast(lagged.X[:1], 20)[0] - lagged.y[:200:10]).max()
+    assert error < 0.02
+    # What came out before: the rows in order, believed.
+    wrong = operator().fit(lagged.X, lagged.y, sample_index=range(len(lagged.X)))
+    error = np.abs(wrong.forecast(lagged.X[:1], 20)[0] - lagged.y[:200:10]).max()
+    assert error > 1.0
+
+
+@pytest.mark.parametrize("frame", [False, True])
+@pytest.mark.parametrize("delays", [1, 3])
+@pytest.mark.parametrize("column", [slice(None), 1])
+def test_a_lag_contradicts_the_order(frame, delays, column):
+    trajectory = make_pendulum(120, step=0.1).trajectories[0]
+    pairs = trajectory_pairs(trajectory, lag=10, delays=delays)
+    # The labels of a frame that was made from an array are no more than its order.
+    X = pd.DataFrame(pairs.X) if frame else pairs.X
+    with pytest.raises(
+        ValueError,
+        match=r"row 0 is the state of row 10, but row 1 would .*=pairs\.sample_index",
+    ):
+        operator().fit(X, pairs.y[:, column])
+
+
+# Several trials
+
+
+@pytest.mark.parametrize("kind", ["states", "outputs in the state", "delays alone"])
+def test_ends_of_trials_contradict_the_order(swings, kind):
+    outputs = None if kind == "states" else [np.sin(x[:, 1]) for x in swings]
+    pairs = trajectory_pairs(
+        swings, outputs, delays=2, outputs_in_state=outputs is not None
+    )
+    y = None if kind == "delays alone" else pairs.y
+    found = (
+        r"row 59 does not: a recording ends before it"
+        if y is None
+        else r"row 58 is no row's state, but row 59 would be taken to follow row 58"
+    )
+    with pytest.raises(ValueError, match=found + ".* fit with sample_index=range"):
+        KernelEDMD(n_modes=0).fit(pairs.X, y)
+    for clock in (pairs.sample_index, range(len(pairs.X))):
+        KernelEDMD(n_modes=0).fit(pairs.X, y, sample_index=clock)
+    KernelEDMD(n_modes=0).fit(pairs.X, y, X_next=pairs.X_next)
+    KernelEDMD(n_modes=0).fit(indexed(pairs.X, pairs), y)
+
+
+def test_index_links_what_the_clock_links(swings):
+    pairs = trajectory_pairs(swings)
+    order = np.random.default_rng(0).permutation(len(pairs.X))
+    X, y = (indexed(z, pairs).iloc[order] for z in (pairs.X, pairs.y))
+    explicit = KernelEDMD(n_modes=9).fit(
+        pairs.X[order], sample_index=pairs.sample_index[order]
+    )
+    for given in ((X,), (X, y), (X.to_numpy(), y)):
+        model = KernelEDMD(n_modes=9).fit(*given)
+        np.testing.assert_array_equal(model.eigenvalues_, explicit.eigenvalues_)
+    # One trial of it, whose index has one level left.
+    one = indexed(pairs.X, pairs).loc[2]
+    alone = KernelEDMD(n_modes=0).fit(one)
+    assert links(alone, len(one)).sum() == len(one) - 1
+
+
+def test_explicit_successors_win_over_the_index(swings):
+    pairs = trajectory_pairs(swings)
+    X = indexed(pairs.X, pairs)
+    reverse = -pairs.sample_index
+    model = KernelEDMD(n_modes=0).fit(X, sample_index=reverse)
+    plain = KernelEDMD(n_modes=0).fit(pairs.X, sample_index=reverse)
+    np.testing.assert_array_equal(model.koopman_matrix_, plain.koopman_matrix_)
+    backwards = np.roll(pairs.X, 1, axis=0)
+    model = KernelEDMD(n_modes=0).fit(X, X_next=pd.DataFrame(backwards))
+    plain = KernelEDMD(n_modes=0).fit(pairs.X, X_next=backwards)
+    np.testing.assert_array_equal(model.koopman_matrix_, plain.koopman_matrix_)
+
+
+# Labels as a clock
+
+
+LABELS = {
+    "frames": (lambda k: 3 * k + 7, True),
+    "seconds": (lambda k: 0.01 * k, True),
+    "milliseconds, rounded": (lambda k: np.rint(1000 / 30 * k).astype(int), True),
+    "dates": (lambda k: pd.to_datetime(10 * k, unit="ms", utc=True), True),
+    "durations": (lambda k: pd.to_timedelta(10 * k, unit="ms"), True),
+    "names": (lambda k: [f"frame {i}" for i in k], False),
+}
+
+
+@pytest.mark.parametrize(("label", "tell"), LABELS.values(), ids=LABELS)
+@pytest.mark.parametrize("of", ["X", "y"])
+def test_holes_in_the_labels_are_no_steps(label, tell, of):
+    """As after dropna: rows 20 to 24 and 50 are gone."""
+    x = make_pendulum(80).trajectories[0]
+    k = np.delete(np.arange(80), [20, 21, 22, 23, 24, 50])
+    frame = pd.DataFrame(x[k], index=label(k))
+    y = np.sin(x[k, 1])
+    given = (frame, y) if of == "X" else (x[k], pd.Series(y, index=label(k)))
+    rows = links(KernelEDMD(n_modes=0).fit(*given), len(k))
+    expected = np.isin(k + 1, k) if tell else np.arange(len(k)) < len(k) - 1
+    np.testing.assert_array_equal(rows, expected)
+    # Labels tell of rows in any order.
+    order = np.random.default_rng(0).permutation(len(k))
+    if tell and of == "X":
+        shuffled = links(KernelEDMD(n_modes=0).fit(frame.iloc[order]), len(k))
+        np.testing.assert_array_equal(shuffled, expected[order])
+
+
+def test_a_block_left_out_is_a_hole():
+    x = make_pendulum(100).trajectories[0]
+    X, y = pd.DataFrame(x[:-1]), pd.DataFrame(x[1:])
+    for train, _ in TrajectoryKFold(4).split(X):
+        model = KernelEDMD(n_modes=0).fit(X.iloc[train], y.iloc[train])
+        np.testing.assert_array_equal(
+            links(model, len(train)), np.isin(train + 1, train)
+        )
+
+
+@pytest.mark.parametrize("kind", ["repeated", "missing", "levels"])
+def test_labels_of_several_recordings_are_refused(swings, kind):
+    one, two = (pd.DataFrame(x) for x in swings[:2])
+    joined = pd.concat([one, two])
+    message = "has the labels 0 and 0 in rows 0 and 61"
+    if kind == "missing":
+        joined = one.set_axis([np.nan, np.nan, *np.arange(59.0)])
+        message = "has the labels 58.0 and nan in rows 60 and 0"
+    if kind == "levels":
+        joined = pd.concat([one, two], keys=["a", "b"], names=["trial", "frame"])
+        message = r"has the levels \['trial', 'frame'\], but not 'sample_index'"
+    remedy = "trajectory_pairs as a list of data frames.*=pairs.sample_index"
+    with pytest.raises(ValueError, match=f"{message}.*{remedy}"):
+        KernelEDMD(n_modes=0).fit(joined)
+    with pytest.raises(ValueError, match=message):
+        KernelEDMD(n_modes=0).fit(joined.to_numpy(), joined)
+    index = 100 * (np.arange(len(joined)) // 61) + np.arange(len(joined))
+    KernelEDMD(n_modes=0).fit(joined, sample_index=index)
+
+
+# No false alarms
+
+
+def single(x):
+    return x[:-1].astype(np.float32).astype(np.float64), x[1:]
+
+
+rng = np.random.default_rng(0)
+walk = np.cumsum(rng.standard_normal((90, 3)), axis=0)
+rest = np.vstack([np.zeros((30, 2)), make_pendulum(60).trajectories[0]])
+turn = np.exp(2j * np.pi * np.arange(61) / 20)
+turn = np.column_stack([turn.real, turn.imag])
+TRUSTED = {
+    "one trial": (walk[:-1], walk[1:]),
+    "one output of it": (walk[:-1], walk[1:, 1]),
+    "a constant column": (np.c_[np.ones(89), walk[:-1]], np.ones(89)),
+    "at rest": (rest[:-1], rest[1:]),
+    "a period of whole rows": (turn[:-1], turn[1:]),
+    "a period, computed anew": (turn[:-1], turn[:-1] @ [[0.951056516, 0.309016994], [-0.309016994, 0.951056516]]),
+    "rounded to single precision": single(walk),
+    "rounded to a tenth": (walk[:-1].round(1), walk[1:].round(1)),
+    "a contact": (np.c_[walk[:, 0], walk > 0], 1.0 * (walk[:, 1] > -1)),
+    "outputs that are no states": (walk[:-1], np.sin(walk[1:, 0])),
+    "outputs of its own row": (walk, walk[:, 0]),
+    "more outputs than features": (walk[:-1], np.hstack([walk, walk])[1:]),
+    "delays of one trial": (trajectory_pairs(walk, delays=3, delay_step=4).X, None),
+    "one pair": (walk[:2], None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("X", "y"), TRUSTED.values(), ids=TRUSTED)
+def test_rows_that_nothing_contradicts_are_trusted(X, y):
+    settings = {"method": "least_squares", "alpha": 1e-3, "n_modes": 0}
+    centers = np.unique(X, axis=0)[::4]
+    model = KernelEDMD(centers=centers, **settings).fit(X, y)
+    clock = clone(model).fit(X, y, sample_index=range(len(X)))
+    np.testing.assert_array_equal(model.koopman_matrix_, clock.koopman_matrix_)
+    single = np.asarray(X, dtype=np.float32)
+    KernelEDMD(centers=centers, **settings).fit(single, y)
+
+
+# Pipelines and cross-validation, without metadata routing
+
+
+def test_index_of_the_outputs_serves_behind_a_scaler(swings):
+    pairs = trajectory_pairs(swings)
+    X, y = indexed(pairs.X, pairs), indexed(np.sin(pairs.X_next[:, :1]), pairs)
+    pipeline = make_pipeline(StandardScaler(), KernelEDMD(trend="linear", n_modes=9))
+    wanted = clone(pipeline).fit(
+        pairs.X, y.to_numpy(), kerneledmd__sample_index=pairs.sample_index
+    )
+    for given in ((X, y), (pairs.X, y), (X, y[0])):
+        found = clone(pipeline).fit(*given)[-1].eigenvalues_
+        np.testing.assert_allclose(found, wanted[-1].eigenvalues_, atol=1e-9)
+    kept = (
+        clone(pipeline)
+        .set_output(transform="pandas")
+        .fit(X.set_axis(["a", "b"], axis=1))
+    )
+    np.testing.assert_allclose(
+        kept[-1].eigenvalues_, wanted[-1].eigenvalues_, atol=1e-9
+    )
+
+
+def test_searches_need_no_routing_for_frames(swings):
+    """Every fold of the training rows is linked as its rows of the clock are."""
+    pairs = trajectory_pairs(swings, lag=2)
+    X, y = indexed(pairs.X, pairs), indexed(pairs.y, pairs)
+    seen = []
+
+    class Recorded(KernelEDMD):
+        def fit(self, X, y=None, *, X_next=None, sample_index=None):
+            super().fit(X, y, X_next=X_next, sample_index=sample_index)
+            seen.append(self.center_indices_)
+            return self
+
+    pipeline = make_pipeline(StandardScaler(), Recorded(alpha=1e-6, n_modes=0))
+    search = GridSearchCV(
+        pipeline,
+        {"recorded__beta": [0.5, 5.0]},
+        cv=TrajectoryKFold(5),
+        refit=False,
+        error_score="raise",
+    ).fit(X, y, groups=pairs.groups)
+    assert search.cv_results_["split0_test_score"].max() > 0.9
+    folds = list(TrajectoryKFold(5).split(X, groups=pairs.groups))
+    for number, rows in enumerate(seen):
+        train = pairs.sample_index[folds[number % 5][0]]
+        np.testing.assert_array_equal(rows, np.flatnonzero(np.isin(train + 1, train)))
+    assert len(seen) == 10
