@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from .centers import SeparatedCenterSelector
-from .edmd import KernelEDMD
+from .edmd import KernelEDMD, forecast
 from .regression import KoopmanKernelRegressor
 from .scoring import make_forecast_scorer, make_valid_time_scorer
 from .search import KoopmanKernelRegressorCV
@@ -21,6 +21,7 @@ __all__ = [
     "TrajectoryKFold",
     "datasets",
     "diagnostics",
+    "forecast",
     "kinematics",
     "make_forecast_scorer",
     "make_valid_time_scorer",

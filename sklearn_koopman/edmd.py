@@ -24,6 +24,7 @@ from ._linalg._systems import (
 from ._matrices._polynomial import DEGREES
 from ._matrices._sections import KernelExpansion, KernelSections
 from ._utils._frames import index_level
+from ._utils._pipeline import find_operator, transformed
 from ._utils._rows import distinct_rows, group_means
 from ._utils._storage import StoresCentersOnce
 from ._utils._typing import Array, Complex, Indices, Mask
@@ -38,7 +39,7 @@ from ._utils._warnings import warn
 from .centers import SeparatedCenterSelector, choose_centers
 from .kernels import as_kernel
 
-__all__ = ["KernelEDMD"]
+__all__ = ["KernelEDMD", "forecast"]
 
 # Modes are summed in the place of powers only if the reciprocal condition number of the
 # eigenvectors is at least this, so that both agree to about 1e-9.
@@ -183,6 +184,7 @@ default=None
     See Also
     --------
     KoopmanKernelRegressor : One step ahead only, without the operator.
+    forecast : Forecasts through a pipeline.
     make_forecast_scorer : Scores forecasts in cross-validation.
 
     Notes
@@ -205,8 +207,8 @@ default=None
     pickle holds the operator and its eigenfunctions, two M x M matrices; the Cholesky
     factor is computed anew when it is first needed after loading.
 
-    A pipeline passes on no method `forecast`. With a scaler in front, call
-    ``pipeline[-1].forecast(pipeline[:-1].transform(X), n_steps)``.
+    A pipeline passes on no method `forecast`. With a scaler in front, call the function
+    :func:`forecast`, which scales the states first: ``forecast(pipeline, X, n_steps)``.
 
     With metadata routing enabled, `X_next` and `sample_index` are passed on by
     pipelines and searches without a call of `set_fit_request`. A scaler in front
@@ -245,6 +247,16 @@ default=None
     True
     >>> model.forecast(pendulum.X[:2], n_steps=100).shape
     (2, 100, 2)
+
+    Through the scaler of a pipeline:
+
+    >>> from sklearn.pipeline import make_pipeline
+    >>> from sklearn.preprocessing import StandardScaler
+    >>> from sklearn_koopman import forecast
+    >>> pipeline = make_pipeline(StandardScaler(), model)
+    >>> pipeline = pipeline.fit(pendulum.X, pendulum.y)
+    >>> forecast(pipeline, pendulum.X[:2], n_steps=100).shape
+    (2, 100)
     """
 
     # Requested by default under metadata routing, without set_fit_request.
@@ -718,6 +730,66 @@ default=None
             sections = KernelSections(self.kernel_, self.centers_)
             self._system = restore_system(sections, self._nugget, degree)
         return self._system
+
+
+def forecast(model: Any, X: Any, n_steps: int, *, relift: bool = False) -> Array:
+    """Forecast outputs by an operator, or by a pipeline that ends in one.
+
+    The earlier steps of a pipeline, such as a scaler, transform the states first.
+
+    Parameters
+    ----------
+    model : KernelEDMD, Pipeline or search
+        A fitted :class:`KernelEDMD`, a pipeline that ends in one, or a search of
+        either.
+    X : array-like of shape (n_samples, n_features)
+        The states to start from, in the units that `model` was fitted to.
+    n_steps : int
+        How many steps to forecast.
+    relift : bool, default=False
+        How the forecast goes beyond the first step, by powers of the operator or by
+        relifting: see :meth:`KernelEDMD.forecast`.
+
+    Returns
+    -------
+    y : ndarray of shape (n_samples, n_steps) or (n_samples, n_steps, n_outputs)
+        ``y[:, s]`` estimates the outputs s + 1 steps later, in the unit of the outputs
+        that `model` was fitted to. If it was fitted to none, they are the states as
+        the last step of the pipeline receives them.
+
+    Raises
+    ------
+    NotFittedError
+        If `model` is not fitted.
+    TypeError
+        If `model` does not end in an operator.
+
+    Warns
+    -----
+    RuntimeWarning
+        If a forecast diverges.
+
+    See Also
+    --------
+    KernelEDMD.forecast : The forecast of the operator itself, and its cost.
+    make_forecast_scorer : Scores forecasts in cross-validation.
+
+    Examples
+    --------
+    >>> from sklearn.pipeline import make_pipeline
+    >>> from sklearn.preprocessing import StandardScaler
+    >>> from sklearn_koopman import KernelEDMD, forecast
+    >>> from sklearn_koopman.datasets import make_pendulum
+    >>> pendulum = make_pendulum(200, step=0.1)
+    >>> model = make_pipeline(StandardScaler(), KernelEDMD(trend="linear", n_modes=0))
+    >>> model = model.fit(pendulum.X[:150], pendulum.y[:150])
+    >>> y = forecast(model, pendulum.X[150:151], n_steps=30)[0]
+    >>> bool(abs(y - pendulum.y[150:180]).max() < 0.01)
+    True
+    """
+    operator, front = find_operator(model)
+    y: Array = operator.forecast(transformed(front, X), n_steps, relift=relift)
+    return y
 
 
 class _Operator(NamedTuple):

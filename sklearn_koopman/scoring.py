@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from numbers import Real
+from types import FrameType
 from typing import Any
 
 import numpy as np
 from sklearn.utils import check_array, check_consistent_length, gen_batches
 from sklearn.utils.metadata_routing import MetadataRequest
 
-from ._utils._pipeline import transformed, unwrap
+from ._utils._clocks import read_clock
+from ._utils._frames import index_level
+from ._utils._pipeline import find_operator, transformed
 from ._utils._typing import Array, Indices
 from ._utils._validation import check_flag, check_integer, check_number
 from .trajectories import match_successors, successor_rows
@@ -87,13 +91,16 @@ def make_forecast_scorer(
 
     1. `sample_index`. In a search it is given to ``fit``, and reaches the scorer if
        metadata routing is enabled.
-    2. `y`, if its columns are adjacent columns of the states. A row is followed by the
+    2. The level "sample_index" of the index of `X`, else of `y`: the data frames of
+       :func:`trajectory_pairs` need no metadata routing.
+    3. `y`, if its columns are adjacent columns of the states. A row is followed by the
        row whose state has these values, provided that there is only one.
-    3. The order of the rows, if the estimator was fitted with neither `X_next` nor
-       `sample_index`: the held-out rows are then taken as one trajectory.
+    4. The order of the rows, if the estimator was fitted to one trajectory in that
+       order. Labels of a data frame, such as frame numbers, show the holes in it.
 
-    Otherwise it raises an error. A score takes the time of the forecasts from all
-    starts. At most 4 million forecast outputs are held in memory at once.
+    Otherwise it raises an error, in a search, too, whatever its `error_score`. A score
+    takes the time of the forecasts from all starts. At most 4 million forecast outputs
+    are held in memory at once.
 
     Examples
     --------
@@ -227,13 +234,13 @@ class ForecastScorer(ABC):
             `n_steps` others, or if `y` has another number of outputs than the forecast.
         """
         check_consistent_length(X, y, sample_index)
-        operator, front = unwrap(estimator)
-        if not hasattr(operator, "forecast"):
-            raise TypeError(
-                f"{type(operator).__name__} has no method forecast; score a "
-                "KernelEDMD, or a pipeline that ends in one."
-            )
-        following = _following_rows(operator, X, y, sample_index)
+        operator, front = find_operator(estimator)
+        try:
+            following = _following_rows(operator, X, y, sample_index)
+        except ValueError as error:
+            if _is_hidden_from_user():
+                return error  # type: ignore[return-value]
+            raise
         X = transformed(front, X)
         outputs = check_array(X if y is None else y, dtype=np.float64, ensure_2d=False)
         outputs = outputs.reshape(len(following), -1)
@@ -357,16 +364,21 @@ def _following_rows(operator: Any, X: Any, y: Any, sample_index: Any) -> Indices
     """Return the row that follows each row, or -1 if there is none."""
     links = None
     n = np.shape(X)[0]
+    if sample_index is None:
+        sample_index = index_level("sample_index", X, y)
     if sample_index is not None:
         links = successor_rows(sample_index)
     elif y is not None:
         links = match_successors(X, y)
     if links is None and getattr(operator, "_consecutive", False):
-        links = np.arange(n - 1), np.arange(1, n)
+        clock = read_clock(X, y)
+        links = successor_rows(np.arange(n) if clock is None else clock)
     if links is None:
         raise ValueError(
             "It is not known which of the held-out rows follow each other; pass "
-            "sample_index, in a search to fit with enable_metadata_routing=True."
+            "sample_index=pairs.sample_index, in a search to its fit (params of "
+            "cross_validate) after sklearn.set_config(enable_metadata_routing=True), "
+            "or pass the data frames of trajectory_pairs."
         )
     following = np.full(n, -1)
     following[links[0]] = links[1]
@@ -379,3 +391,20 @@ def _rows_ahead(following: Indices, n_steps: int, first: int) -> Indices:
     for _ in range(first + n_steps - 1):
         ahead.append(np.where(ahead[-1] < 0, -1, following[ahead[-1]]))
     return np.column_stack(ahead[first:])
+
+
+def _is_hidden_from_user() -> bool:
+    """Tell whether an error of the scorer would become a score of nan in a search.
+
+    Searches of scikit-learn take every exception for the failure of one candidate. They
+    refuse a result that is no number, though, in an error that prints it. So they are
+    given the exception where no candidate can succeed.
+    """
+    frame: FrameType | None = sys._getframe(2)
+    for _ in range(2):  # a scorer of several metrics may be in between
+        if frame is None:
+            return False
+        if frame.f_globals.get("__name__") == "sklearn.model_selection._validation":
+            return True
+        frame = frame.f_back
+    return False

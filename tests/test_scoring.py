@@ -2,12 +2,14 @@
 
 import pickle
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pandas as pd
 import pytest
 from sklearn import config_context
 from sklearn.base import clone
+from sklearn.inspection import permutation_importance
 from sklearn.linear_model import LinearRegression
 from sklearn.model_selection import GridSearchCV, cross_val_score, cross_validate
 from sklearn.pipeline import make_pipeline
@@ -446,3 +448,132 @@ def test_divergence_by_eigenvalues_scores_what_was_asked_for():
     trajectory = 2.0 ** np.arange(-1000, 20)[:, np.newaxis] + 1e-3
     scorer = make_forecast_scorer(1010, error_score=-7.0)
     assert scorer(model, trajectory, None, range(1020)) == -7.0
+
+
+# Frames need no metadata routing; arrays are told so
+
+
+def framed(pairs):
+    """X and y with the index that trajectory_pairs of data frames makes."""
+    index = pd.MultiIndex.from_arrays(
+        [pairs.groups, pairs.sample_index], names=["trial", "sample_index"]
+    )
+    return pd.DataFrame(pairs.X, index), pd.DataFrame(pairs.y, index)
+
+
+@pytest.fixture(scope="module")
+def pairs(swings):
+    """With a lag, and outputs that are no states."""
+    return trajectory_pairs(*swings, lag=2)
+
+
+@pytest.mark.parametrize("of", ["X and y", "X", "y"])
+def test_held_out_frames_tell_what_follows(swings, pairs, of):
+    X, y = framed(pairs)
+    model = KernelEDMD(trend="linear", n_modes=0).fit(X.to_numpy(), y)
+    scorer = make_forecast_scorer(4)
+    wanted = scorer(model, pairs.X, pairs.y, sample_index=pairs.sample_index)
+    held_out = X if "X" in of else pairs.X, y if "y" in of else pairs.y
+    assert scorer(model, *held_out) == wanted
+    # What is given wins over the index.
+    backwards = scorer(model, *held_out, sample_index=-pairs.sample_index)
+    assert backwards < 2 * wanted
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_search_over_frames_without_metadata_routing(pairs, several):
+    X, y = framed(pairs)
+    error, steps = make_forecast_scorer(5), make_valid_time_scorer(5, 0.05)
+    pipeline = make_pipeline(StandardScaler(), KernelEDMD(trend="linear", n_modes=0))
+    search = GridSearchCV(
+        pipeline,
+        {"kerneledmd__beta": [0.05, 5.0]},
+        scoring={"error": error, "steps": steps} if several else error,
+        refit="error" if several else True,
+        cv=TrajectoryKFold(3),
+    )
+    found = clone(search).fit(X, y, groups=pairs.groups)
+    with config_context(enable_metadata_routing=True):
+        routed = search.fit(
+            pairs.X, pairs.y, groups=pairs.groups, sample_index=pairs.sample_index
+        )
+    name = "mean_test_error" if several else "mean_test_score"
+    np.testing.assert_allclose(found.cv_results_[name], routed.cv_results_[name])
+    assert np.ptp(found.cv_results_[name]) > 0.001
+    scores = cross_val_score(
+        found.best_estimator_,
+        X,
+        y,
+        groups=pairs.groups,
+        scoring=error,
+        cv=TrajectoryKFold(3),
+    )
+    assert scores.mean() == pytest.approx(found.best_score_, rel=1e-9)
+
+
+def test_labels_show_the_holes_of_held_out_rows(swings):
+    """Two blocks of one trajectory are held out together."""
+    x = pd.DataFrame(swings[0][1])
+    y = pd.Series(swings[1][1], x.index)
+    model = KernelEDMD(n_modes=0).fit(x[:-1], y[1:])
+    kept = np.r_[2:12, 20:30]
+    scorer = make_forecast_scorer(3)
+    score = scorer(model, x.iloc[kept], y.iloc[kept + 1])
+    assert score == scorer(model, x.iloc[kept], y.iloc[kept + 1], sample_index=kept)
+    arrays = x.iloc[kept].to_numpy(), y.iloc[kept + 1].to_numpy()
+    assert scorer(model, *arrays) < 10 * score
+
+
+@pytest.mark.parametrize("n_jobs", [None, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("error_score", [np.nan, "raise"])
+def test_searches_say_what_to_set(pairs, error_score, n_jobs):
+    """Where nan and a warning for every fold came out before."""
+    edmd = KernelEDMD(n_modes=0)
+    scorer = make_forecast_scorer(4)
+    given = {"cv": TrajectoryKFold(3), "error_score": error_score, "n_jobs": n_jobs}
+    index = {"sample_index": pairs.sample_index}
+    message = (
+        r"held-out rows follow each other; pass sample_index=pairs\.sample_index, in a "
+        r"search to its fit .*enable_metadata_routing=True.*data frames"
+    )
+    for scoring in (scorer, {"a": make_valid_time_scorer(4, 0.1), "b": scorer}):
+        search = GridSearchCV(
+            edmd, {"beta": [1.0]}, scoring=scoring, refit=False, **given
+        )
+        with pytest.raises(ValueError, match=message):
+            search.fit(pairs.X, pairs.y, groups=pairs.groups, **index)
+        with pytest.raises(ValueError, match=message):
+            cross_validate(
+                edmd,
+                pairs.X,
+                pairs.y,
+                groups=pairs.groups,
+                scoring=scoring,
+                params=index,
+                **given,
+            )
+    with pytest.raises(ValueError, match=message):
+        cross_val_score(
+            edmd,
+            pairs.X,
+            pairs.y,
+            groups=pairs.groups,
+            scoring=scorer,
+            params=index,
+            **given,
+        )
+
+
+def test_other_callers_get_the_error_itself(pairs):
+    """A number is all that they could use."""
+    model = KernelEDMD(n_modes=0)
+    model.fit(pairs.X, pairs.y, sample_index=pairs.sample_index)
+    with pytest.raises(ValueError, match=r"^It is not known which of the held-out"):
+        permutation_importance(
+            model, pairs.X, pairs.y, scoring=make_forecast_scorer(4), n_repeats=1
+        )
+    # In a thread, nobody stands behind the call.
+    with ThreadPoolExecutor(1) as pool:
+        future = pool.submit(make_forecast_scorer(4), model, pairs.X, pairs.y)
+        with pytest.raises(ValueError, match=r"^It is not known which of the held-out"):
+            future.result()
