@@ -14,8 +14,8 @@ import numpy as np
 from sklearn.utils import check_array, check_consistent_length, gen_batches
 from sklearn.utils.metadata_routing import MetadataRequest
 
-from ._utils._clocks import read_clock
 from ._utils._frames import index_level
+from ._utils._labels import order_of_labels
 from ._utils._pipeline import find_operator, transformed
 from ._utils._typing import Array, Indices
 from ._utils._validation import check_flag, check_integer, check_number
@@ -371,7 +371,7 @@ def _following_rows(operator: Any, X: Any, y: Any, sample_index: Any) -> Indices
     elif y is not None:
         links = match_successors(X, y)
     if links is None and getattr(operator, "_consecutive", False):
-        clock = read_clock(X, y)
+        clock = order_of_labels(X, y)
         links = successor_rows(np.arange(n) if clock is None else clock)
     if links is None:
         raise ValueError(

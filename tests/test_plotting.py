@@ -16,7 +16,7 @@ import pandas as pd
 import pytest
 from matplotlib.colors import LogNorm, same_color
 from numpy.testing import assert_allclose, assert_array_equal
-from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.decomposition import PCA
 from sklearn.exceptions import NotFittedError
 from sklearn.linear_model import LinearRegression
@@ -190,7 +190,7 @@ def draw(name, model, operator, pendulum, **kwargs):
             model, X, **kwargs
         ),
         "ForecastDisplay": lambda: ForecastDisplay.from_estimator(
-            model, X, y, band="std", **kwargs
+            model, X, y, lag=1, band="std", **kwargs
         ),
         "SpectrumDisplay": lambda: SpectrumDisplay.from_estimator(operator, **kwargs),
     }[name]()
@@ -902,7 +902,9 @@ def test_times_of_predictions():
 
 def test_one_step_ahead(model, pendulum):
     X, y = pendulum.X, pendulum.y
-    display = ForecastDisplay.from_estimator(model, X, y, band="std", dt=0.1, start=10)
+    display = ForecastDisplay.from_estimator(
+        model, X, y, lag=1, band="std", dt=0.1, start=10
+    )
     mean, std = model.predict(X[10:], return_std=True)
     assert_array_equal(display.truth_.get_ydata(), y[10:])
     assert_array_equal(display.prediction_.get_ydata(), mean)
@@ -927,7 +929,7 @@ def test_error_bound(pendulum):
     power = pipeline[-1].power_function(pipeline[0].transform(X))
     for norm, factor in ((None, 2.0), (5.0, 5.0)):
         display = ForecastDisplay.from_estimator(
-            pipeline, X, y, band="bound", norm=norm, bound_label="at the most"
+            pipeline, X, y, lag=1, band="bound", norm=norm, bound_label="at the most"
         )
         assert_allclose(display.bound, factor * power)
         assert legend_of(display.ax_)[2] == "at the most"
@@ -936,7 +938,14 @@ def test_error_bound(pendulum):
 @pytest.mark.parametrize("relift", [False, True])
 def test_forecast(operator, pendulum, relift):
     display = ForecastDisplay.from_estimator(
-        operator, pendulum.X, pendulum.y, n_steps=12, start=5, relift=relift, dt=0.1
+        operator,
+        pendulum.X,
+        pendulum.y,
+        n_steps=12,
+        start=5,
+        lag=1,
+        relift=relift,
+        dt=0.1,
     )
     expected = operator.forecast(pendulum.X[5:6], 12, relift=relift)[0]
     assert_array_equal(display.prediction_.get_ydata(), expected)
@@ -969,6 +978,67 @@ def test_forecast_by_steps_of_several_rows(walking):
     assert_array_equal(named.y_pred, unscaled.forecast(X[:1], 2)[0, :, 0])
 
 
+@pytest.fixture(scope="module")
+def strides(walking):
+    """Pairs of a step of four rows, and a model of them."""
+    pairs = trajectory_pairs(walking.trajectories, walking.outputs, lag=4)
+    model = KernelEDMD("matern32", centers=SeparatedCenterSelector(0.2), n_modes=0)
+    return pairs, model.fit(pairs.X, pairs.y, sample_index=pairs.sample_index)
+
+
+@pytest.mark.parametrize("of", ["X", "y"])
+def test_lag_is_read_off_the_index(strides, of):
+    """Without it, the fifth step stood at row 5 instead of 20, beside a wrong truth."""
+    pairs, model = strides
+    index = pd.MultiIndex.from_arrays(
+        [pairs.groups, pairs.sample_index], names=["trial", "sample_index"]
+    )
+    X, y = pairs.X, pairs.y
+    if of == "X":
+        X = pd.DataFrame(X, index)
+        model = clone(model).fit(X, y)
+    else:
+        y = pd.DataFrame(y, index)
+    show = ForecastDisplay.from_estimator
+    display = show(model, X, y, n_steps=5, dt=0.01)
+    assert_array_equal(display.truth_.get_ydata(), pairs.y[:20:4, 0])
+    assert_allclose(display.time, [0.04, 0.08, 0.12, 0.16, 0.2])
+    assert np.abs(display.y_true - display.y_pred).max() < 10  # in mm
+    before = show(model, X, y, n_steps=5, lag=1)
+    assert np.abs(before.y_true - before.y_pred).max() > 150
+    assert_array_equal(show(model, X, y, start=7).time[:2], [4, 5])
+    # What is given wins.
+    assert_array_equal(show(model, X, y, lag=2, n_steps=2).time, [2, 4])
+
+
+def test_lag_is_read_off_outputs_that_are_states(strides):
+    _, model = strides
+    walking = make_walking(speeds=[1.2, 1.5], n_strides=3, rate=60.0, random_state=0)
+    pairs = trajectory_pairs(walking.trajectories, lag=4, delays=2)
+    other = clone(model).fit(pairs.X, pairs.y, sample_index=pairs.sample_index)
+    display = ForecastDisplay.from_estimator(other, pairs.X, pairs.y, n_steps=3)
+    assert_array_equal(display.time, [4, 8, 12])
+    assert_array_equal(display.truth_.get_ydata(), pairs.X[4:16:4, 0])
+
+
+def test_lag_is_asked_for_where_nothing_tells(strides, walking):
+    pairs, model = strides
+    message = "not known how many rows make one step; pass lag, that of traj"
+    for n_steps in (None, 5):
+        with pytest.raises(ValueError, match=message):
+            ForecastDisplay.from_estimator(model, pairs.X, pairs.y, n_steps=n_steps)
+    # An index of which no row follows another, or in which steps differ.
+    for clock in (2 * np.arange(len(pairs.X)), -np.arange(len(pairs.X))):
+        index = pd.Index(clock, name="sample_index")
+        with pytest.raises(ValueError, match=message):
+            ForecastDisplay.from_estimator(model, pd.DataFrame(pairs.X, index), pairs.y)
+    # A model of rows in the order of time takes one row a step.
+    pairs = trajectory_pairs(walking.trajectories, walking.outputs)
+    simple = clone(model).fit(pairs.X, pairs.y)
+    display = ForecastDisplay.from_estimator(simple, pairs.X, pairs.y, n_steps=3)
+    assert_array_equal(display.time, [1, 2, 3])
+
+
 def test_forecast_that_diverges_does_not_squash_the_rest():
     truth = np.linspace(-1, 1, 5)
     display = ForecastDisplay.from_predictions(truth, [-1.0, 0, 1e3, -1e9, np.nan])
@@ -987,9 +1057,10 @@ def test_forecast_that_diverges_does_not_squash_the_rest():
 def test_overlaid_forecasts(operator, pendulum):
     """Two models share the measured line; another truth is another line."""
     X, y = pendulum.X, pendulum.y
-    first = ForecastDisplay.from_estimator(operator, X, y, n_steps=20, name="powers")
+    settings = {"n_steps": 20, "lag": 1}
+    first = ForecastDisplay.from_estimator(operator, X, y, name="powers", **settings)
     second = ForecastDisplay.from_estimator(
-        operator, X, y, n_steps=20, relift=True, name="relifted", ax=first.ax_
+        operator, X, y, relift=True, name="relifted", ax=first.ax_, **settings
     )
     assert second.truth_ is first.truth_
     assert legend_of(first.ax_) == ["measured", "powers", "relifted"]
@@ -1006,9 +1077,12 @@ def test_overlaid_forecasts(operator, pendulum):
 
 def test_forecasts_refuse(model, operator, pendulum):
     X, y = pendulum.X, pendulum.y
-    show = ForecastDisplay.from_estimator
     with pytest.raises(NotFittedError):
-        show(KernelEDMD(), X, y)
+        ForecastDisplay.from_estimator(KernelEDMD(), X, y)
+
+    def show(*args, lag=1, **kwargs):
+        return ForecastDisplay.from_estimator(*args, lag=lag, **kwargs)
+
     with pytest.raises(ValueError, match="forecast, which takes a KernelEDMD"):
         show(model, X, y, n_steps=3)
     with pytest.raises(ValueError, match="has no band"):

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from sklearn.utils import check_array
 
-from .._utils._clocks import REMEDY, read_clock
+from .._utils._labels import REMEDY, order_of_labels
 from .._utils._typing import Array, Indices, Mask
 from .._utils._validation import check_columns, check_magnitude
 from .._utils._warnings import warn
@@ -106,7 +106,7 @@ def _follow_order(X: Array, given: Any, y: Any) -> tuple[Indices, Indices]:
     Neither knows of steps of several rows, and the order knows of no ends. They are
     trusted unless the outputs, or delayed copies of the states, contradict.
     """
-    clock = read_clock(given, y)
+    clock = order_of_labels(given, y)
     links = successor_rows(np.arange(len(X)) if clock is None else clock)
     if len(links[0]) and y is not None:
         _check_outputs(X, given, y, links)

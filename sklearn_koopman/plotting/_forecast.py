@@ -13,7 +13,7 @@ from .._utils._pipeline import transformed, unwrap
 from .._utils._typing import Array
 from .._utils._validation import check_choice, check_flag, check_integer, check_number
 from ._display import COLORS, Display, Keywords, count_curves, merge_style, with_unit
-from ._inputs import predict_one_step, select_output, times_of
+from ._inputs import predict_one_step, rows_per_step, select_output, times_of
 
 TRUTH = "measured"
 SAMPLES, SECONDS = "time [samples]", "time [s]"
@@ -86,7 +86,7 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
     ...     "wendland_c4", beta=4.0, centers=SeparatedCenterSelector(0.23)
     ... ).fit(pendulum.X, pendulum.y, X_next=pendulum.X_next)
     >>> display = ForecastDisplay.from_estimator(
-    ...     model, pendulum.X, pendulum.y, n_steps=100, dt=0.1
+    ...     model, pendulum.X, pendulum.y, n_steps=100, lag=1, dt=0.1
     ... )
     >>> display.time[[0, -1]]
     array([ 0.1, 10. ])
@@ -205,7 +205,7 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
         *,
         n_steps: int | None = None,
         start: int = 0,
-        lag: int = 1,
+        lag: int | None = None,
         relift: bool = False,
         band: str | None = None,
         norm: Any = None,
@@ -228,8 +228,12 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
             forecast so many steps from the row `start` alone.
         start : int, default=0
             The row to begin with, from which the time is counted.
-        lag : int, default=1
-            How many rows make one step.
+        lag : int, default=None
+            How many rows make one step: the `lag` of
+            :func:`~sklearn_koopman.trajectory_pairs`. None reads it off the level
+            "sample_index" of the index of `X`, else of `y`; off outputs that are
+            columns of the states; or takes 1 if `estimator` was fitted to rows in the
+            order of time.
         relift : bool, default=False
             Whether a forecast goes from each state to the next one by the learned map
             of states, instead of by powers of the operator. See
@@ -254,17 +258,21 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
         ------
         ValueError
             If the estimator is not fitted, or cannot forecast or give the band; if a
-            parameter is outside its range, or there are too few rows.
+            parameter is outside its range, or there are too few rows; if `lag` is None
+            and nothing tells it.
         """
         check_is_fitted(estimator)
         check_integer(start, "start", 0)
-        check_integer(lag, "lag", 1)
         check_flag(relift, "relift")
         check_choice(band, "band", (None, "std", "bound"))
         if dt is not None:
             check_number(dt, "dt", positive=True)
-        y = np.asarray(y)
         check_consistent_length(X, y)
+        final, scaler = unwrap(estimator)
+        if lag is None:
+            lag = rows_per_step(final, X, y)
+        check_integer(lag, "lag", 1)
+        y = np.asarray(y)
         check_integer(1 if n_steps is None else n_steps, "n_steps", 1)
         needed = start + lag * ((n_steps or 1) - 1) + 1
         if len(y) < needed:
@@ -272,7 +280,6 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
                 f"start={start}, lag={lag} and n_steps={n_steps} need {needed} rows, "
                 f"got {len(y)}; lower start or n_steps, or give more rows."
             )
-        final, scaler = unwrap(estimator)
         states = transformed(scaler, X)
         taken = slice(start, None if n_steps is None else start + 1)
         states = states.iloc[taken] if hasattr(states, "iloc") else states[taken]

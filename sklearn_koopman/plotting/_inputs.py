@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from .._utils._frames import index_level
 from .._utils._pipeline import unwrap
 from .._utils._typing import Array
 from .._utils._validation import check_integer, check_number
+from ..trajectories import match_successors, successor_rows
 
 # Patterns of the names and the representations of kernels, and their common names.
 COMMON_NAMES = {
@@ -142,6 +144,42 @@ def predict_one_step(
     raise ValueError(
         f"band={band!r} needs {needed}, which {type(estimator).__name__} does not "
         "have; pass a KoopmanKernelRegressor, or band=None."
+    )
+
+
+def rows_per_step(final: Any, X: Any, y: Any) -> int:
+    """Find out how many rows of one trajectory make a step of a model.
+
+    Parameters
+    ----------
+    final : estimator instance
+        The fitted model, or the last step of a pipeline.
+    X : array-like of shape (n_samples, n_features)
+        The states.
+    y : array-like of shape (n_samples,) or (n_samples, n_outputs)
+        The outputs one step after each of them.
+
+    Returns
+    -------
+    lag : int
+        The number of rows from each row to the one that follows it.
+
+    Raises
+    ------
+    ValueError
+        If neither an index, nor the outputs, nor the fit of the model tell.
+    """
+    clock = index_level("sample_index", X, y)
+    links = match_successors(X, y) if clock is None else successor_rows(clock)
+    if links is not None and len(links[0]):
+        lag = int(links[1][0] - links[0][0])
+        if lag > 0 and (links[1] - links[0] == lag).all():
+            return lag
+    elif clock is None and getattr(final, "_consecutive", False):
+        return 1
+    raise ValueError(
+        "It is not known how many rows make one step; pass lag, that of "
+        "trajectory_pairs (1 if the next row is the next step)."
     )
 
 

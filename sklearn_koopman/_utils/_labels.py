@@ -16,8 +16,8 @@ REMEDY = (
 )
 
 
-def read_clock(*data: Any) -> Indices | None:
-    """Return the place of each row on the clock that the labels of an index are.
+def order_of_labels(*data: Any) -> Indices | None:
+    """Return the place of each row on the clock that labels are.
 
     Two rows follow each other if their labels are about one usual step apart.
 
