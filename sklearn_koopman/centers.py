@@ -27,6 +27,7 @@ from ._utils._validation import (
     check_integer,
     check_magnitude,
     check_parameters,
+    refuse_masked,
 )
 
 __all__ = ["SeparatedCenterSelector"]
@@ -223,6 +224,7 @@ class SeparatedCenterSelector(
 
     def _extend(self, given: Any, fitted: Mapping[str, Any]) -> Self:
         """Select from a batch of samples, given the attributes after earlier ones."""
+        refuse_masked(X=given)
         is_first = "n_samples_seen_" not in fitted
         # Attributes are set last: a fit that fails leaves the selector as it was.
         checker = clone(self) if is_first else self
@@ -291,6 +293,7 @@ class SeparatedCenterSelector(
 
     def _check_states(self, X: Any) -> Array:
         check_is_fitted(self)
+        refuse_masked(X=X)
         X = np.asarray(validate_data(self, X, reset=False, dtype=np.float64))
         check_magnitude(X, smallest=0)
         return X
@@ -353,6 +356,7 @@ def choose_centers(
         if own is not None and own.max() < len(X) and np.array_equal(X[own], points):
             rows = own
     else:
+        refuse_masked(centers=centers)
         points = check_array(centers, dtype=np.float64, copy=True, input_name="centers")
     if points.shape[1] != X.shape[1]:
         raise ValueError(

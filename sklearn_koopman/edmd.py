@@ -34,6 +34,7 @@ from ._utils._validation import (
     check_magnitude,
     check_number,
     check_parameters,
+    refuse_masked,
 )
 from ._utils._warnings import warn
 from .centers import SeparatedCenterSelector, choose_centers
@@ -349,6 +350,7 @@ default=None
         states, and delayed copies in the states, are compared with them. An error is
         raised if they disagree. Other rows are trusted.
         """
+        refuse_masked(X=X, y=y, X_next=X_next, sample_index=sample_index)
         given, given_y = X, y
         X, y = self._check_data(X, y)
         self._check_parameters()
@@ -708,6 +710,7 @@ default=None
 
     def _validated(self, X: Any) -> Array:
         check_is_fitted(self)
+        refuse_masked(X=X)
         return validate_data(self, X, reset=False, dtype=np.float64)
 
     def _predict(self, X: Array) -> Array:
@@ -788,6 +791,7 @@ def forecast(model: Any, X: Any, n_steps: int, *, relift: bool = False) -> Array
     True
     """
     operator, front = find_operator(model)
+    refuse_masked(X=X)  # the steps in front do not see masks
     y: Array = operator.forecast(transformed(front, X), n_steps, relift=relift)
     return y
 

@@ -49,6 +49,7 @@ from ._utils._validation import (
     check_distances,
     check_magnitude,
     check_parameters,
+    refuse_masked,
 )
 from .centers import choose_centers, rows_at_distance_zero
 from .kernels import as_kernel, is_isotropic
@@ -619,6 +620,7 @@ default="auto"
         return self.method == "interpolation" or self.centers is None
 
     def _check_data(self, X: Any, y: Any) -> tuple[Array, Array]:
+        refuse_masked(X=X, y=y)
         X, y = check_X_y(
             X, y, multi_output=True, y_numeric=True, dtype=np.float64, estimator=self
         )
@@ -726,6 +728,7 @@ default="auto"
         return KernelExpansion(self._sections(), dual_coef, origin, trend_coef)
 
     def _validated(self, X: Any) -> Array:
+        refuse_masked(X=X)
         X = validate_data(self, X, reset=False, dtype=np.float64)
         if not hasattr(self, "centers_"):
             check_distances(X)

@@ -18,7 +18,7 @@ from ._utils._frames import index_level
 from ._utils._labels import order_of_labels
 from ._utils._pipeline import find_operator, transformed
 from ._utils._typing import Array, Indices
-from ._utils._validation import check_flag, check_integer, check_number
+from ._utils._validation import check_flag, check_integer, check_number, refuse_masked
 from .trajectories import match_successors, successor_rows
 
 __all__ = [
@@ -233,6 +233,7 @@ class ForecastScorer(ABC):
             If it is not known which rows follow each other, if no row is followed by
             `n_steps` others, or if `y` has another number of outputs than the forecast.
         """
+        refuse_masked(X=X, y=y, sample_index=sample_index)
         check_consistent_length(X, y, sample_index)
         operator, front = find_operator(estimator)
         try:

@@ -35,7 +35,7 @@ from ._utils._parallel import one_thread
 from ._utils._rows import distinct_rows
 from ._utils._storage import StoresCentersOnce
 from ._utils._typing import Array
-from ._utils._validation import check_number, check_parameters
+from ._utils._validation import check_number, check_parameters, refuse_masked
 from ._utils._warnings import warn
 from .centers import choose_centers
 from .kernels import as_kernel
@@ -298,6 +298,7 @@ default=None
             many centres, have not reached their tolerance.
         """
         given = X
+        refuse_masked(X=X, y=y)
         X, y = check_X_y(
             X, y, multi_output=True, y_numeric=True, dtype=np.float64, estimator=self
         )

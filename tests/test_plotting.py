@@ -1039,6 +1039,17 @@ def test_lag_is_asked_for_where_nothing_tells(strides, walking):
     assert_array_equal(display.time, [1, 2, 3])
 
 
+def test_masked_outputs_are_gaps(model, pendulum):
+    y = np.ma.array(pendulum.y, copy=True)
+    y[3] = np.ma.masked
+    show = ForecastDisplay.from_estimator
+    display = show(model, pendulum.X, y, lag=1)
+    assert_array_equal(np.flatnonzero(np.isnan(display.y_true)), [3])
+    masked = np.ma.array(pendulum.X, mask=np.tile(y.mask[:, np.newaxis], 2))
+    with pytest.raises(ValueError, match="X holds 2 masked values"):
+        show(model, masked, pendulum.y, lag=1)
+
+
 def test_forecast_that_diverges_does_not_squash_the_rest():
     truth = np.linspace(-1, 1, 5)
     display = ForecastDisplay.from_predictions(truth, [-1.0, 0, 1e3, -1e9, np.nan])

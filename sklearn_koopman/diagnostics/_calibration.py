@@ -12,7 +12,7 @@ from sklearn.utils import Bunch, indexable
 
 from .._utils._pipeline import transformed, unwrap
 from .._utils._typing import Array
-from .._utils._validation import check_integer, check_positive
+from .._utils._validation import check_integer, check_positive, refuse_masked
 from ..trajectories import TrajectoryKFold
 
 
@@ -100,6 +100,7 @@ def calibration_study(
     >>> round(study.ratio, 1)
     0.7
     """
+    refuse_masked(X=X, y=y)
     X, y, groups = indexable(X, y, groups)
     levels = check_positive(levels, "levels")
     if levels.max() >= 1:

@@ -13,7 +13,7 @@ from sklearn.utils import check_array
 
 from .._matrices._sections import KernelSections, gram_matrix
 from .._utils._typing import Array
-from .._utils._validation import check_number
+from .._utils._validation import check_number, refuse_masked
 from ..kernels import as_kernel
 
 
@@ -200,6 +200,7 @@ def extreme_eigenvalues(
         The largest eigenvalue.
     """
     check_number(alpha, "alpha")
+    refuse_masked(centers=centers)
     points = check_array(centers, dtype=np.float64, input_name="centers")
     n = len(points)
     resolved = as_kernel(kernel, beta, points.shape[1])

@@ -12,7 +12,12 @@ from sklearn.utils import check_array, check_random_state
 
 from .._utils._rows import distinct_rows
 from .._utils._typing import Array, Indices
-from .._utils._validation import check_choice, check_integer, check_magnitude
+from .._utils._validation import (
+    check_choice,
+    check_integer,
+    check_magnitude,
+    refuse_masked,
+)
 from .._utils._warnings import warn
 
 # The dimension is estimated from the distances to this neighbour and to the one of
@@ -493,6 +498,7 @@ def _neighbor_distances(points: Array, X: Array, orders: list[int]) -> Array:
 
 
 def _checked(X: Any, name: str) -> Array:
+    refuse_masked(**{name: X})
     X = check_array(X, dtype=np.float64, input_name=name)
     check_magnitude(X, name=name)
     return np.asarray(X, dtype=np.float64)

@@ -14,7 +14,7 @@ from sklearn.utils import Bunch, check_array, check_consistent_length
 from .._selection import sequential_centers
 from .._utils._pipeline import transformed, unwrap
 from .._utils._typing import Array, Mask
-from .._utils._validation import check_number, check_positive
+from .._utils._validation import check_number, check_positive, refuse_masked
 from .._utils._warnings import warn
 from ..centers import SeparatedCenterSelector
 from ..kernels import as_kernel
@@ -150,6 +150,7 @@ rms_error, condition_number : ndarray of shape (n_separations,)
     >>> bool(3.5 < study.slope < 4.3)  # the output is smoother than it has to be
     True
     """
+    refuse_masked(X=X, y=y, X_test=X_test, y_test=y_test)
     truth, learned = _outputs(y_test, X_test), _outputs(y, X)
     if truth.shape[1:] != learned.shape[1:]:
         raise ValueError(
@@ -316,6 +317,7 @@ def conditioning_study(
     >>> bool((abs(study.slope[:, 0] - study.expected_slope) < 0.5).all())
     True
     """
+    refuse_masked(X=X)
     X = check_array(X, dtype=np.float64, input_name="X")
     betas = check_positive(betas, "betas")
     separations = check_positive(separations, "separations")
@@ -431,6 +433,7 @@ def crowding_study(
     >>> study.slope.round(1)  # the kernel has a cusp
     array([1., 1.])
     """
+    refuse_masked(X=X)
     X = check_array(X, dtype=np.float64, input_name="X", ensure_min_samples=2)
     separations = check_positive(separations, "separations")
     gaps = check_positive(gaps, "gaps")

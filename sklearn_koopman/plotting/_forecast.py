@@ -11,7 +11,13 @@ from sklearn.utils.validation import check_is_fitted
 
 from .._utils._pipeline import transformed, unwrap
 from .._utils._typing import Array
-from .._utils._validation import check_choice, check_flag, check_integer, check_number
+from .._utils._validation import (
+    check_choice,
+    check_flag,
+    check_integer,
+    check_number,
+    refuse_masked,
+)
 from ._display import COLORS, Display, Keywords, count_curves, merge_style, with_unit
 from ._inputs import predict_one_step, rows_per_step, select_output, times_of
 
@@ -167,7 +173,7 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
             If shapes do not agree; if there is no such output; if `bound` is negative;
             if both `time` and `dt` are given.
         """
-        y_true, y_pred = np.asarray(y_true), np.asarray(y_pred)
+        y_true, y_pred = np.asanyarray(y_true), np.asanyarray(y_pred)  # with masks
         n_times = len(y_pred)
         truth = select_output(y_true, output, n_times, "y_true")
         predicted = select_output(y_pred, output, n_times, "y_pred")
@@ -272,7 +278,8 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
         if lag is None:
             lag = rows_per_step(final, X, y)
         check_integer(lag, "lag", 1)
-        y = np.asarray(y)
+        refuse_masked(X=X)
+        y = np.asanyarray(y)
         check_integer(1 if n_steps is None else n_steps, "n_steps", 1)
         needed = start + lag * ((n_steps or 1) - 1) + 1
         if len(y) < needed:

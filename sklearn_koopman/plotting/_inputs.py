@@ -264,7 +264,7 @@ def select_output(values: Any, output: int, n_rows: int, name: str) -> Array:
         If the shape is another, or there is no such output.
     """
     check_integer(output, "output", 0)
-    values = np.asarray(values, dtype=np.float64)
+    values = np.ma.filled(np.ma.asarray(values, dtype=np.float64), np.nan)
     if values.ndim not in (1, 2) or len(values) != n_rows:
         raise ValueError(
             f"{name} must have the shape ({n_rows},) or ({n_rows}, n_outputs), "
