@@ -15,6 +15,7 @@ from sklearn.utils.metadata_routing import MetadataRequest
 from ._utils._pipeline import transformed, unwrap
 from ._utils._typing import Array, Indices
 from ._utils._validation import check_flag, check_integer, check_number
+from ._utils._warnings import ExtrapolationWarning
 from .trajectories import match_successors, successor_rows
 
 __all__ = [
@@ -271,8 +272,9 @@ class ForecastScorer(ABC):
         n_rows = max(MAX_ENTRIES // (self.n_steps * n_outputs), 1)
         for batch in gen_batches(len(starts), n_rows):
             with warnings.catch_warnings():
-                # Divergence shows in the score.
+                # Divergence, and starts far from the data, show in the score.
                 warnings.simplefilter("ignore", RuntimeWarning)
+                warnings.simplefilter("ignore", ExtrapolationWarning)
                 y_pred = operator.forecast(
                     take[starts[batch]], self.n_steps, relift=self.relift
                 )
