@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from ._utils._typing import Array
+from ._utils._typing import Array, Indices
 from ._utils._validation import check_integer
 from ._utils._warnings import warn
 
@@ -23,7 +23,7 @@ MAX_KNEE_FLEXION = 135.0
 MIN_HEADSTAND = 0.5
 
 
-def fill_gaps(recording: Any, *, max_gap: int) -> tuple[Any, Array]:
+def fill_gaps(recording: Any, *, max_gap: int) -> tuple[Any, Indices]:
     r"""Interpolate the short gaps of a recording by cubic splines.
 
     A gap is a run of frames in which a column holds NaN or is masked. Each column is
@@ -301,9 +301,9 @@ def _check_markers(**markers: Any) -> Array:
         gaps = np.flatnonzero(~np.isfinite(position).all(axis=1))
         if len(gaps):
             raise ValueError(
-                f"{name} holds NaN or infinity, or is masked, in {len(gaps)} of {shape[0]} frames, "
-                f"first in frame {gaps[0]}; fill short gaps by kinematics.fill_gaps, or "
-                "cut the recording there."
+                f"{name} holds NaN or infinity (or is masked) in {len(gaps)} of "
+                f"{shape[0]} frames, first in frame {gaps[0]}; fill short gaps by "
+                "kinematics.fill_gaps, or cut the recording there."
             )
     return np.array([*positions.values()])
 
