@@ -17,7 +17,7 @@ IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 SPELLED_OUT = {"millimeters": "mm", "centimeters": "cm", "meters": "m"}
 # Markers of a body that are closer together than this, in mm, or farther apart, have
 # the unit that brings them nearest to the usual size.
-MIN_BODY_SIZE, USUAL_BODY_SIZE, MAX_BODY_SIZE = 200.0, 1000.0, 5000.0
+MIN_BODY_SIZE, USUAL_BODY_SIZE, MAX_BODY_SIZE = 200.0, 1000.0, 3000.0
 # Stamps in seconds may be rounded to milliseconds, and rates to 1 %.
 TIME_ROUNDING = 0.001
 RATE_TOLERANCE = 0.01
@@ -65,7 +65,7 @@ def load_markers(
     unit : {"mm", "cm", "m"}, default=None
         Unit of the coordinates. None takes the unit of the TRC header, or "mm" for a
         tab-separated file, and refuses a body that would be smaller than 20 cm or
-        larger than 5 m, and that another unit brings nearer to 1 m. A unit that is
+        larger than 3 m, and that another unit brings nearer to 1 m. A unit that is
         given wins over the header, and is not checked.
     gaps : {"raise", "nan"}, default="raise"
         Whether gaps in the markers that are read are refused, or returned as NaN, for
