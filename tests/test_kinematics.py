@@ -279,6 +279,18 @@ def test_sine_is_filled_to_the_error_of_splines(n_lost):
     assert_allclose(errors[0] / errors[1], 16, rtol=0.1)
 
 
+@pytest.mark.parametrize("n_lost", [1, 2, 5, 10, 20])
+@pytest.mark.parametrize("n_before", [1, 2, 30])
+def test_noise_grows_with_the_gap(n_lost, n_before):
+    # What each sample alone contributes to the gap.
+    impulses = np.eye(n_before + n_lost + 30)
+    impulses[n_before : n_before + n_lost] = np.nan
+    weights, rows = fill_gaps(impulses, max_gap=n_lost)
+    largest = np.linalg.norm(weights[rows], axis=1).max()
+    expected = 2 + 0.35 * n_lost**2 if n_before == 1 else 1 + 0.35 * n_lost
+    assert_allclose(largest, expected, rtol=0.2)
+
+
 def test_gap_of_one_frame_more_stays():
     recording = np.arange(30.0)
     recording[10:15] = np.nan
@@ -382,6 +394,30 @@ def test_dataframes_keep_index_and_columns():
     assert_array_equal(rows, [5])
 
 
+def test_dataframes_that_lack_frames_are_refused():
+    pd = pytest.importorskip("pandas")
+    values = {"x": cubic(np.arange(10.0))}
+    frame = pd.DataFrame(values, index=np.arange(10) / 150)
+    frame.iloc[[3, 4]] = np.nan
+    dropped = frame.dropna()
+    with pytest.raises(ValueError, match=r"goes from 0\.013\d* to 0\.033.*reindex"):
+        fill_gaps(dropped, max_gap=2)
+    filled, rows = fill_gaps(dropped.reindex(frame.index), max_gap=2)
+    assert_array_equal(rows, [3, 4])
+    assert_allclose(filled["x"], values["x"], rtol=0, atol=1e-12)
+    times = pd.to_datetime(np.arange(10) * 10, unit="ms")
+    fill_gaps(frame.set_index(times), max_gap=2)
+    with pytest.raises(ValueError, match=r"goes from 1970.*00.020.* to 1970.*00.050"):
+        fill_gaps(frame.set_index(times).dropna(), max_gap=2)
+    # Two trials below each other, with one clock each or one for both.
+    trials = pd.concat([frame, frame], keys=[1, 2])
+    with pytest.raises(ValueError, match=r"goes from 0\.06 to 0\.0 .* one recording"):
+        fill_gaps(trials, max_gap=2)
+    names = pd.Index(list("abcdefghij"))
+    assert_array_equal(fill_gaps(frame.set_index(names), max_gap=2)[1], [3, 4])
+    assert len(fill_gaps(frame[:1], max_gap=2)[1]) == 0
+
+
 @pytest.mark.parametrize(
     ("recording", "options", "message"),
     [
@@ -389,6 +425,8 @@ def test_dataframes_keep_index_and_columns():
         ([1.0], {"max_gap": 1.5}, "max_gap must be .* got 1.5"),
         ([1.0], {"max_gap": True}, "max_gap must be .* got True"),
         (1.0, {}, r"recording is a float of shape \(\)"),
+        ([], {}, r"recording is a list of shape \(0,\)"),
+        (np.zeros((5, 0)), {}, r"recording is a ndarray of shape \(5, 0\)"),
         (np.zeros((4, 5, 9)), {}, r"ndarray of shape \(4, 5, 9\); .*one by one"),
         ([np.zeros((9, 3))] * 2, {}, r"recording is a list of shape \(2, 9, 3\)"),
         (["a", "b"], {}, "recording must be an array of numbers"),
