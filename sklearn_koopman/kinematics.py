@@ -325,9 +325,7 @@ def _check_markers(**markers: Any) -> Array:
 def _as_floats(value: Any, name: str) -> Array:
     """Convert to floats, masked values to NaN; name the parameter that cannot be."""
     try:
-        if hasattr(
-            value, "iloc"
-        ):  # NumPy does not convert the missing values of pandas
+        if hasattr(value, "iloc"):  # NumPy does not convert pandas' missing values
             value = value.astype(np.float64)
         return np.ma.filled(np.ma.asarray(value, dtype=np.float64), np.nan)
     except (TypeError, ValueError) as error:
