@@ -3,6 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from ._utils._warnings import ExtrapolationWarning
 from .centers import SeparatedCenterSelector
 from .edmd import KernelEDMD, forecast
 from .regression import KoopmanKernelRegressor
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from . import datasets, diagnostics, kinematics, plotting
 
 __all__ = [
+    "ExtrapolationWarning",
     "KernelEDMD",
     "KoopmanKernelRegressor",
     "KoopmanKernelRegressorCV",

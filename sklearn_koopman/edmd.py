@@ -453,6 +453,12 @@ default=None
             With `return_std`, if a loaded Gram matrix cannot be factored on this
             machine.
 
+        Warns
+        -----
+        ExtrapolationWarning
+            If a state is far from all training data, as in
+            :meth:`KoopmanKernelRegressor.predict`.
+
         Notes
         -----
         O(n M) time for n states and M centres, and O(n M^2) more with `return_std`.
@@ -509,6 +515,9 @@ default=None
 
         Warns
         -----
+        ExtrapolationWarning
+            If a state to start from is far from all training data, for example because
+            it has not passed the scaler in front of the model.
         RuntimeWarning
             If a forecast diverges: becomes a thousand times larger than all outputs
             of the training data.
@@ -567,11 +576,16 @@ default=None
         ------
         ValueError
             If the model was fitted with ``n_modes=0``.
+
+        Warns
+        -----
+        ExtrapolationWarning
+            If a state is far from all training data.
         """
         X = self._validated(X)
         self._check_has_spectrum()
         phi = self._expansion(self._phi_dual_coef, self._phi_trend_coef)
-        return unpack(phi(X, self.n_jobs), self.eigenvalues_)
+        return unpack(phi.predict(X, self.n_jobs), self.eigenvalues_)
 
     def continuous_eigenvalues(self, dt: float) -> tuple[Array, Array]:
         """Turn the eigenvalues into growth rates and frequencies.
@@ -716,7 +730,7 @@ default=None
     def _predict(self, X: Array) -> Array:
         outputs = slice(len(self._limit))
         functions = self._expansion(self._dual_coef, self._trend_coef)
-        return functions.take(outputs)(X, self.n_jobs)
+        return functions.take(outputs).predict(X, self.n_jobs)
 
     def _expansion(self, dual_coef: Array, trend_coef: Array) -> KernelExpansion:
         origin = np.zeros(0)

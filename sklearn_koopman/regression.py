@@ -452,13 +452,17 @@ default="auto"
 
         Warns
         -----
+        ExtrapolationWarning
+            If a state is so far from the training data that its section has no
+            correlation of 0.1 with that of any centre. No single centre then lowers the
+            squared power function by more than 1 % of its value without data.
         ConvergenceWarning
             With `return_std`, if conjugate gradients do not converge for all states.
         """
         check_is_fitted(self)
         X = self._validated(X)
         shape = (len(X), *self.dual_coef_.shape[1:])
-        y = self._expansion()(X, self.n_jobs).reshape(shape)
+        y = self._expansion().predict(X, self.n_jobs).reshape(shape)
         if not return_std:
             return y
         P = self._fitted_system().power(X, self.n_jobs)

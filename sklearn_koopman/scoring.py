@@ -19,6 +19,7 @@ from ._utils._labels import order_of_labels
 from ._utils._pipeline import find_operator, transformed
 from ._utils._typing import Array, Indices
 from ._utils._validation import check_flag, check_integer, check_number, refuse_masked
+from ._utils._warnings import ExtrapolationWarning
 from .trajectories import match_successors, successor_rows
 
 __all__ = [
@@ -279,8 +280,9 @@ class ForecastScorer(ABC):
         n_rows = max(MAX_ENTRIES // (self.n_steps * n_outputs), 1)
         for batch in gen_batches(len(starts), n_rows):
             with warnings.catch_warnings():
-                # Divergence shows in the score.
+                # Divergence, and starts far from the data, show in the score.
                 warnings.simplefilter("ignore", RuntimeWarning)
+                warnings.simplefilter("ignore", ExtrapolationWarning)
                 y_pred = operator.forecast(
                     take[starts[batch]], self.n_steps, relift=self.relift
                 )

@@ -36,7 +36,7 @@ from ._utils._rows import distinct_rows
 from ._utils._storage import StoresCentersOnce
 from ._utils._typing import Array
 from ._utils._validation import check_number, check_parameters, refuse_masked
-from ._utils._warnings import warn
+from ._utils._warnings import ExtrapolationWarning, warn
 from .centers import choose_centers
 from .kernels import as_kernel
 from .regression import KoopmanKernelRegressor
@@ -334,8 +334,10 @@ default=None
                 )
         share = problem, grid["alpha"], scorer, self.cv is None
         with warnings.catch_warnings():
-            # Refits may lose dependent centres; the winner warns if it does.
+            # Refits may lose dependent centres; the winner warns if it does. Held-out
+            # rows that a kernel does not reach show in its score.
             warnings.simplefilter("ignore", LinAlgWarning)
+            warnings.simplefilter("ignore", ExtrapolationWarning)
             many = effective_n_jobs(self.n_jobs) > 1
             with one_thread() if many else nullcontext():
                 scored = Parallel(n_jobs=self.n_jobs, prefer="threads")(
@@ -395,6 +397,11 @@ default=None
         std : ndarray of the shape of `y`
             Standard deviation of the outputs, as
             :meth:`KoopmanKernelRegressor.predict` gives it; only if `return_std`.
+
+        Warns
+        -----
+        ExtrapolationWarning
+            If a state is far from all training data.
         """
         check_is_fitted(self)
         return self.best_estimator_.predict(X, return_std=return_std)

@@ -15,7 +15,7 @@ from sklearn_koopman.datasets import (
     make_pendulum,
     make_walking,
 )
-from sklearn_koopman.kinematics import leg_angles
+from sklearn_koopman.kinematics import fill_gaps, leg_angles
 from sklearn_koopman.trajectories import trajectory_pairs
 
 # --- the pendulum -------------------------------------------------------------------
@@ -456,18 +456,113 @@ def test_slightly_wrong_rate_is_accepted_but_not_another(write):
         load_markers(path, rate=120)
 
 
-def test_unit(write):
-    head = TSV.split("\n")[0]
-    path = write(f"{head}\n0\t0.1\t0.9\t0.1\t0.2\t0.4\t0.1\n")
-    with pytest.raises(ValueError, match=r"0.5 apart, like m instead .* unit='m'"):
-        load_markers(path)
-    assert load_markers(path, unit="m").unit == "m"
-    assert load_markers(path, unit="mm").unit == "mm"
-    # One marker tells nothing of the size of a body.
+def scaled(text, factor):
+    """The same marker file with all coordinates of its body times a factor."""
+    head, body = text.split("\n1\t")
+    rows = [line.split("\t") for line in f"1\t{body}".splitlines()]
+    n_clocks = len(rows[0]) - 6
+    return "\n".join(
+        [head]
+        + [
+            "\t".join(r[:n_clocks] + [repr(factor * float(x)) for x in r[n_clocks:]])
+            for r in rows
+        ]
+    )
+
+
+IN_MM = {"mm": 1, "cm": 10, "m": 1000}
+
+
+@pytest.mark.parametrize("true", IN_MM)
+@pytest.mark.parametrize("header", [*IN_MM, None])
+def test_unit_of_another_size_is_told_in_every_format(write, header, true):
+    """A hip 420 mm above the knee, in one unit under the header of another."""
+    text = TSV if header is None else TRC.replace("\tmm\t", f"\t{header}\t")
+    path = write(scaled(text, 1 / IN_MM[true]))
+    claimed = header or "mm"
+    if claimed == true:
+        assert load_markers(path).unit == true
+    else:
+        size = f"{420 / IN_MM[true]:.3g}"
+        message = f"{path.name}: the markers of a frame are {size} apart, like {true} "
+        message += f"instead of {claimed}; pass unit='{true}', or unit='{claimed}' if"
+        with pytest.raises(ValueError, match=message):
+            load_markers(path)
+    # A unit that is given wins over the header and the size.
+    for unit in IN_MM:
+        data = load_markers(path, unit=unit)
+        assert data.unit == unit
+        assert f"coordinates in {unit}," in data.DESCR
+
+
+def test_size_is_that_of_most_frames_and_of_the_markers_that_are_read(write):
+    # One frame of three in metres, another marker's frame lost.
+    text = TSV.replace(
+        "10\t901.5\t80.5\t160\t481\t82", "0.01\t0.9\t0.08\t0.16\t0.48\t0.08"
+    )
+    assert load_markers(write(text)).unit == "mm"
+    # One marker tells nothing of the size of a body, even where another one is lost.
+    path = write(scaled(TSV, 0.001))
     assert load_markers(path, markers=["R.Hip"]).unit == "mm"
-    in_centimetres = f"{head}\n0\t5\t90\t8\t15\t9\t8\n"
-    with pytest.raises(ValueError, match=r"like cm instead of mm; pass unit='cm'"):
-        load_markers(write(in_centimetres))
+    with pytest.raises(ValueError, match=r"0.42[0-9]* apart, like m instead of mm"):
+        load_markers(write(scaled(TSV, 0.001).replace("0.482", "nan")), gaps="nan")
+
+
+@pytest.mark.parametrize(
+    ("size", "unit", "accepted"),
+    [
+        (6000.0, "mm", True),
+        (199.0, "mm", False),
+        (201.0, "mm", True),
+        (12.0, "cm", True),  # of a hand; in metres it would be larger than a house
+        (9.0, "cm", False),
+        (320.0, "cm", False),
+        (299.0, "cm", True),
+        (6.0, "m", True),  # of two people; in centimetres it would be a finger
+        (11.0, "m", False),
+        (0.21, "m", True),
+    ],
+)
+def test_sizes_that_are_accepted(write, size, unit, accepted):
+    text = scaled(TRC, size / 420).replace("\tmm\t", f"\t{unit}\t")
+    path = write(text)
+    if accepted:
+        assert load_markers(path).unit == unit
+    else:
+        with pytest.raises(ValueError, match=f"{size:.3g} apart, like .* of {unit};"):
+            load_markers(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("meters", "m"), ("Metres", "m"), ("millimeters", "mm"), ("CM", "cm")],
+)
+def test_units_are_spelled_in_many_ways(write, name, unit):
+    text = TRC.replace("\tmm\t", f"\t{name}\t")
+    assert load_markers(write(scaled(text, 1 / IN_MM[unit]))).unit == unit
+
+
+@pytest.mark.parametrize("name", ["inch", ""])
+def test_unit_settles_a_header_without_one(write, name):
+    path = write(TRC.replace("\tmm\t", f"\t{name}\t"))
+    assert load_markers(path, unit="mm").unit == "mm"
+
+
+@pytest.mark.parametrize("text", [TSV, TRC])
+def test_gaps_can_be_read_and_filled(write, text):
+    text = text.replace("\t481\t", "\t\t").replace("\t80.5\t", "\tinf\t")
+    with pytest.raises(ValueError, match=r"'R.Knee'.*gaps='nan'.*kinematics.fill_gaps"):
+        load_markers(write(text))
+    markers = load_markers(write(text), gaps="nan").markers
+    assert_array_equal(
+        np.isnan(markers["R.Hip"]), np.isinf(HIP) | [[0] * 3, [0, 0, 1], [0] * 3]
+    )
+    assert_array_equal(np.argwhere(np.isnan(markers["R.Knee"])), [[1, 1]])
+    filled, frames = fill_gaps(markers, max_gap=1)
+    assert_array_equal(frames, [1])
+    # A line through the two samples beside the gap.
+    assert filled["R.Knee"][1, 1] == (480.25 + 482) / 2
+    assert filled["R.Hip"][1, 2] == 0
 
 
 @pytest.mark.parametrize(
@@ -486,6 +581,7 @@ def test_unit(write):
         (TSV, {"rate": 0}, "rate must be .* got 0"),
         (TSV, {"rate": np.nan}, "rate must be .* got nan"),
         (TSV, {"unit": "inch"}, "'mm', 'cm', 'm', got 'inch'"),
+        (TSV, {"gaps": "keep"}, "gaps must be one of 'raise', 'nan', got 'keep'"),
         (
             TSV.replace("\t481\t", "\t\t").replace("\t482\t", "\tNaN\t"),
             {},
@@ -534,8 +630,8 @@ def test_bad_tab_separated_file(write, text, options, message):
         ("100.00\t100.00\t3", "50\t100.00\t3", r"by 100 .* DataRate in line 3 is 50;"),
         ("\t3\t2\tmm", "\t4\t2\tmm", r"found 3 frames, but NumFrames .* is 4"),
         ("\t3\t2\tmm", "\t3\t3\tmm", r"NumMarkers is 3, .* 2 names and 6 columns"),
-        ("\tmm\t", "\tinch\t", r"line 3: Units must be .*'m', got 'inch'"),
-        ("\tUnits\t", "\tunit\t", r"line 3: Units must be .*'m', got ''"),
+        ("\tmm\t", "\tinch\t", r"gives 'inch' as its unit, .* pass unit, which wins"),
+        ("\tUnits\t", "\tunit\t", r"gives '' as its unit, not 'mm', 'cm' or 'm'; pass"),
         ("Frame#\t", "#\t", r"line 4: found '#.*expected 'Frame#', 'Time'"),
         ("R.Knee\t\t", "R.Hip\t\t", r"marker 'R.Hip' has 2 columns 'R.HipX'"),
         ("Y2\tZ2", "Y2", r"lines 3 to 5: .* 2 names and 5 columns, not 3 for each"),
@@ -553,11 +649,6 @@ def test_bad_trc_file(write, old, new, message):
     with pytest.raises(ValueError, match=message) as info:
         load_markers(write(TRC.replace(old, new, 1), "gait.trc"))
     assert "gait.trc" in str(info.value)
-
-
-def test_unit_must_not_contradict_the_trc_header(write):
-    with pytest.raises(ValueError, match=r"gait.trc: line 3: .* 'mm' but unit='m'"):
-        load_markers(write(TRC, "gait.trc"), unit="m")
 
 
 def test_truncated_trc_and_binary_file(write, tmp_path):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_koopman.kinematics import leg_angles
+from sklearn_koopman.datasets import make_walking
+from sklearn_koopman.kinematics import fill_gaps, leg_angles
 
 
 def pose(hip_degrees, knee_degrees, thigh=400.0, shank=380.0):
@@ -29,7 +30,7 @@ def walk():
 
 @pytest.mark.parametrize(
     ("hip", "knee"),
-    [(0, 0), (30, 0), (-20, 0), (25, 60), (-10, 5), (0, -8), (90, 90), (10, 179)],
+    [(0, 0), (30, 0), (-20, 0), (25, 60), (-10, 5), (0, -8), (90, 90), (10, 134)],
 )
 def test_known_poses(hip, knee):
     angles, _ = leg_angles(*pose(hip, knee), forward=0, up=1)
@@ -49,6 +50,7 @@ def test_signs_by_hand():
     assert_array_equal(ankle, [[-1, -2]])
 
 
+@pytest.mark.filterwarnings("ignore:the leg stands", "ignore:the knee is bent")
 def test_angles_lie_in_the_half_open_interval():
     # Shank folded back onto the thigh, and a thigh straight up: pi, never -pi.
     angles, _ = leg_angles([[0, 0, 0]], [[0, 4, 0]], [[0, 1, 0]], forward=0, up=1)
@@ -57,6 +59,8 @@ def test_angles_lie_in_the_half_open_interval():
     assert_array_equal(angles, [[np.pi, np.pi]])
     angles, _ = leg_angles([[0, 4, 0]], [[0, 0, 0]], [[0, 3, 0]], forward=0, up=1)
     assert_array_equal(angles, [[0, np.pi]])
+    angles, _ = leg_angles(*pose(10, 179), forward=0, up=1)
+    assert_allclose(np.degrees(angles), [[10, 179]], rtol=1e-12)
     # Hip 170 degrees and shank at -170: 340 wraps to -20.
     angles, _ = leg_angles(*pose(170, 340), forward=0, up=1)
     assert_allclose(np.degrees(angles), [[170, -20]], rtol=1e-12)
@@ -150,6 +154,306 @@ def test_input_is_left_alone_and_lists_will_do(walk):
     found = leg_angles(*(m.tolist() for m in walk), forward=0, up=1)
     for one, other in zip(expected, found, strict=True):
         assert_array_equal(one, other)
+
+
+# --- legs that stand on their head --------------------------------------------------
+
+
+def turn(hip_degrees, knee_degrees):
+    """Markers of a leg in the X-Y plane that runs through these angles."""
+    frames = zip(*np.broadcast_arrays(hip_degrees, knee_degrees), strict=True)
+    poses = [pose(*angles) for angles in frames]
+    return [np.vstack(marker) for marker in zip(*poses, strict=True)]
+
+
+def pedal():
+    """One turn of a crank of 170 mm, 150 mm ahead of the hip and 550 mm below it."""
+    crank = np.linspace(0, 2 * np.pi, 101)[:-1]
+    ankle = [150, -550] + 170 * np.column_stack([np.sin(crank), np.cos(crank)])
+    reach = np.linalg.norm(ankle, axis=1)
+    knee = np.pi - np.arccos((400**2 + 380**2 - reach**2) / (2 * 400 * 380))
+    lift = np.arccos((400**2 + reach**2 - 380**2) / (2 * 400 * reach))
+    hip = np.arctan2(ankle[:, 0], -ankle[:, 1]) + lift
+    return turn(np.degrees(hip), np.degrees(knee))
+
+
+PHASE = np.linspace(0, 2 * np.pi, 101)[:-1]
+WALK = [make_walking(1, random_state=0).markers[0][k] for k in ("hip", "knee", "ankle")]
+RUN = turn(15 + 35 * np.cos(PHASE), 65 - 50 * np.cos(PHASE - 1.5))
+CYCLE = pedal()
+UPRIGHT = {"walk": WALK, "run": RUN, "cycle": CYCLE}
+OTHERS = {
+    "kick": turn(35 - 55 * np.cos(PHASE), 55 + 50 * np.cos(PHASE)),
+    "sit": turn(90 + 15 * np.cos(PHASE), 90),
+    "lie on the back": turn(92 + 5 * np.cos(PHASE), 0),
+    "lie with bent knees": turn(135, 90 + 10 * np.cos(PHASE)),
+    "leg raised in bed": turn(90 + 25 * (1 + np.cos(PHASE)), 0),
+    "curl on the belly": turn(-90, 65 - 65 * np.cos(PHASE)),
+}
+
+
+@pytest.mark.parametrize("markers", [*UPRIGHT.values(), *OTHERS.values()])
+def test_leg_as_it_should_be_is_silent(markers):
+    leg_angles(*markers, forward=0, up=1)
+    leg_angles(*markers, forward=[-1, 0, 0], up=1)
+
+
+@pytest.mark.parametrize("name", UPRIGHT)
+def test_leg_upside_down_warns(name):
+    hip, knee, ankle = UPRIGHT[name]
+    length = 850 if name == "walk" else 780
+    above = (hip - ankle)[:, 1] > length / 2
+    head = rf"stands on its head in {above.sum()} of {len(hip)} frames.*hip, knee and"
+    with pytest.warns(UserWarning, match=head) as record:
+        leg_angles(hip, knee, ankle, forward=0, up=[0, -1, 0])
+    assert "up=[0, -1, 0]" in str(record[0].message)
+    assert record[0].filename == __file__
+    with pytest.warns(UserWarning, match=head):
+        leg_angles(ankle, knee, hip, forward=0, up=1)
+    # Both errors together make a leg again.
+    leg_angles(ankle, knee, hip, forward=0, up=[0, -1, 0])
+
+
+@pytest.mark.parametrize("order", [(1, 0, 2), (0, 2, 1), (1, 2, 0), (2, 0, 1)])
+@pytest.mark.parametrize("name", [*UPRIGHT, "lie on the back"])
+def test_swapped_markers_warn(name, order):
+    markers = (UPRIGHT | OTHERS)[name]
+    swapped = [markers[i] for i in order]
+    thigh, shank = np.diff(swapped, axis=0)[..., :2]
+    lengths = np.linalg.norm(thigh, axis=1) * np.linalg.norm(shank, axis=1)
+    n_folded = np.sum((thigh * shank).sum(axis=1) < -np.sqrt(0.5) * lengths)
+    message = rf"135 degrees in {n_folded} of {len(thigh)} .*Pass hip, knee and ankle"
+    with pytest.warns(UserWarning, match=message):
+        leg_angles(*swapped, forward=0, up=1)
+
+
+def test_half_of_the_frames_may_be_upside_down():
+    markers = [np.vstack([m, m * [1, -1, 1]]) for m in turn(np.zeros(9), 0)]
+    leg_angles(*markers, forward=0, up=1)
+    with pytest.warns(UserWarning, match="on its head in 9 of 17 frames"):
+        leg_angles(*(m[1:] for m in markers), forward=0, up=1)
+
+
+# --- gaps ---------------------------------------------------------------------------
+
+
+def cubic(frames):
+    return 1e-3 * frames**3 - 0.05 * frames**2 + frames - 7.0
+
+
+def test_cubic_is_filled_exactly():
+    frames = np.arange(60.0)
+    lost = [0, 1, 5, 6, 7, 20, 21, 22, 23, 40, 57, 59]
+    # The gap of four stays, and so do those at both ends.
+    filled_frames = [5, 6, 7, 40, 57]
+    expected = cubic(frames)
+    recording = expected.copy()
+    recording[lost] = np.nan
+    before = recording.copy()
+    filled, rows = fill_gaps(recording, max_gap=3)
+    assert_array_equal(rows, filled_frames)
+    expected[np.setdiff1d(lost, filled_frames)] = np.nan
+    assert_allclose(filled, expected, rtol=0, atol=1e-12)
+    assert_array_equal(recording, before)
+    assert_array_equal(
+        np.isnan(fill_gaps(recording, max_gap=4)[0]),
+        [i in (0, 1, 59) for i in range(60)],
+    )
+
+
+@pytest.mark.parametrize("n_lost", [1, 2, 5, 10])
+def test_sine_is_filled_to_the_error_of_splines(n_lost):
+    frames = np.arange(-200, 200)
+    lost = 200 - n_lost // 2 + np.arange(n_lost)  # around a crest
+    errors = []
+    for period in (100, 200):
+        sine = np.cos(2 * np.pi * frames / period)
+        recording = sine.copy()
+        recording[lost] = np.nan
+        filled, rows = fill_gaps(recording, max_gap=n_lost)
+        assert_array_equal(rows, lost)
+        errors.append(np.abs(filled - sine).max())
+        step = 2 * np.pi * (n_lost + 1) / period
+        # Hermite interpolation alone would leave 1/384 at the middle.
+        assert step**4 / 1000 < errors[-1] < 5 / 384 * step**4
+    assert_allclose(errors[0] / errors[1], 16, rtol=0.1)
+
+
+@pytest.mark.parametrize("n_lost", [1, 2, 5, 10, 20])
+@pytest.mark.parametrize("n_before", [1, 2, 30])
+def test_noise_grows_with_the_gap(n_lost, n_before):
+    # What each sample alone contributes to the gap.
+    impulses = np.eye(n_before + n_lost + 30)
+    impulses[n_before : n_before + n_lost] = np.nan
+    weights, rows = fill_gaps(impulses, max_gap=n_lost)
+    largest = np.linalg.norm(weights[rows], axis=1).max()
+    expected = 2 + 0.35 * n_lost**2 if n_before == 1 else 1 + 0.35 * n_lost
+    assert_allclose(largest, expected, rtol=0.2)
+
+
+def test_gap_of_one_frame_more_stays():
+    recording = np.arange(30.0)
+    recording[10:15] = np.nan
+    filled, rows = fill_gaps(recording, max_gap=4)
+    assert_array_equal(filled, recording)
+    assert_array_equal(rows, [])
+    filled, rows = fill_gaps(recording, max_gap=5)
+    assert_allclose(filled, np.arange(30.0), rtol=0, atol=1e-13)
+    assert_array_equal(rows, range(10, 15))
+
+
+def test_long_gap_has_no_influence():
+    """The same fill, whatever lies beyond a long gap."""
+    rng = np.random.default_rng(0)
+    left = rng.normal(size=20)
+    left[[4, 5, 18]] = np.nan
+    alone, _ = fill_gaps(left, max_gap=2)
+    for beyond in (0.0, 1e6):
+        both = np.concatenate([left, np.full(3, np.nan), np.full(20, beyond)])
+        assert_array_equal(fill_gaps(both, max_gap=2)[0][:20], alone)
+
+
+@pytest.mark.parametrize(
+    ("samples", "expected"),
+    [
+        ([1, np.nan, 5], [1, 3, 5]),  # a line
+        ([0, np.nan, 4, 9], [0, 1, 4, 9]),  # a parabola
+        ([0, 1, np.nan, np.nan, 16], [0, 1, 4, 9, 16]),
+        ([np.nan, 7, np.nan], [np.nan, 7, np.nan]),
+        ([np.nan, np.nan], [np.nan, np.nan]),
+    ],
+)
+def test_few_samples(samples, expected):
+    filled, rows = fill_gaps(samples, max_gap=2)
+    assert_allclose(filled, expected, rtol=1e-14, atol=1e-14)
+    assert_array_equal(rows, np.flatnonzero(np.isnan(samples) & ~np.isnan(expected)))
+
+
+def test_columns_are_filled_on_their_own():
+    table = cubic(np.arange(40.0)[:, None] + np.arange(3))
+    recording = table.copy()
+    recording[4:7, 0] = recording[5:8, 2] = recording[30:36, 1] = np.nan
+    filled, rows = fill_gaps(recording, max_gap=3)
+    assert_array_equal(rows, [4, 5, 6, 7])
+    assert_array_equal(np.isnan(filled), np.isnan(recording) & [False, True, False])
+    assert_allclose(filled[:8], table[:8], rtol=0, atol=1e-12)
+    # Markers, and columns that are not contiguous.
+    for other in (recording.reshape(40, 1, 3), np.asfortranarray(recording)):
+        again, same = fill_gaps(other, max_gap=3)
+        assert again.shape == other.shape
+        assert_array_equal(again.reshape(40, 3), filled)
+        assert_array_equal(same, rows)
+
+
+def test_markers_by_name():
+    complete = np.arange(60.0).reshape(20, 3)
+    markers = {"hip": complete.copy(), "knee": complete + 5}
+    markers["hip"][4, 1] = markers["knee"][[4, 9]] = np.nan
+    filled, rows = fill_gaps(markers, max_gap=1)
+    assert list(filled) == ["hip", "knee"]
+    assert_allclose(filled["hip"], complete, rtol=0, atol=1e-12)
+    assert_allclose(filled["knee"], complete + 5, rtol=0, atol=1e-12)
+    assert_array_equal(rows, [4, 9])
+    assert np.isnan(markers["hip"][4, 1])
+
+
+def test_masked_values_are_gaps():
+    recording = np.ma.masked_array(cubic(np.arange(20.0)), mask=False)
+    recording[3] = 9000.0
+    recording[[3, 10, 11]] = np.ma.masked
+    filled, rows = fill_gaps(recording, max_gap=1)
+    assert type(filled) is np.ndarray
+    assert_array_equal(rows, [3])
+    assert_allclose(filled[:10], cubic(np.arange(10.0)), rtol=0, atol=1e-12)
+    assert_array_equal(np.isnan(filled), np.isin(np.arange(20), [10, 11]))
+    whole = np.ma.masked_array([1, 2, 3], mask=[False, True, False])
+    assert_array_equal(fill_gaps(whole, max_gap=1)[0], [1.0, 2.0, 3.0])
+
+
+def test_dataframes_keep_index_and_columns():
+    pd = pytest.importorskip("pandas")
+    frames = np.arange(10.0)
+    frame = pd.DataFrame(
+        {
+            "x": cubic(frames),
+            "n": pd.array([0, 1, None, 3, 4, 5, 6, None, None, 9], dtype="Int64"),
+        },
+        index=pd.Index(frames / 100, name="time"),
+    )
+    frame.loc[0.05, "x"] = np.nan
+    before = frame.copy()
+    filled, rows = fill_gaps(frame, max_gap=1)
+    assert_array_equal(rows, [2, 5])
+    pd.testing.assert_index_equal(filled.index, frame.index)
+    assert list(filled.columns) == ["x", "n"]
+    assert_allclose(filled["x"], cubic(frames), rtol=0, atol=1e-12)
+    assert_allclose(filled["n"], [0, 1, 2, 3, 4, 5, 6, np.nan, np.nan, 9], atol=1e-12)
+    pd.testing.assert_frame_equal(frame, before)
+    series, rows = fill_gaps(frame["x"], max_gap=1)
+    pd.testing.assert_series_equal(series, filled["x"])
+    assert_array_equal(rows, [5])
+
+
+def test_dataframes_that_lack_frames_are_refused():
+    pd = pytest.importorskip("pandas")
+    values = {"x": cubic(np.arange(10.0))}
+    frame = pd.DataFrame(values, index=np.arange(10) / 150)
+    frame.iloc[[3, 4]] = np.nan
+    dropped = frame.dropna()
+    with pytest.raises(ValueError, match=r"goes from 0\.013\d* to 0\.033.*reindex"):
+        fill_gaps(dropped, max_gap=2)
+    filled, rows = fill_gaps(dropped.reindex(frame.index), max_gap=2)
+    assert_array_equal(rows, [3, 4])
+    assert_allclose(filled["x"], values["x"], rtol=0, atol=1e-12)
+    times = pd.to_datetime(np.arange(10) * 10, unit="ms")
+    fill_gaps(frame.set_index(times), max_gap=2)
+    with pytest.raises(ValueError, match=r"goes from 1970.*00.020.* to 1970.*00.050"):
+        fill_gaps(frame.set_index(times).dropna(), max_gap=2)
+    # Two trials below each other, with one clock each or one for both.
+    trials = pd.concat([frame, frame], keys=[1, 2])
+    with pytest.raises(ValueError, match=r"goes from 0\.06 to 0\.0, .* one recording"):
+        fill_gaps(trials, max_gap=2)
+    names = pd.Index(list("abcdefghij"))
+    assert_array_equal(fill_gaps(frame.set_index(names), max_gap=2)[1], [3, 4])
+    assert len(fill_gaps(frame[:1], max_gap=2)[1]) == 0
+
+
+@pytest.mark.parametrize(
+    ("recording", "options", "message"),
+    [
+        ([1.0], {"max_gap": 0}, "max_gap must be an integer of at least 1, got 0"),
+        ([1.0], {"max_gap": 1.5}, "max_gap must be .* got 1.5"),
+        ([1.0], {"max_gap": True}, "max_gap must be .* got True"),
+        (1.0, {}, r"recording is a float of shape \(\)"),
+        ([], {}, r"recording is a list of shape \(0,\)"),
+        (np.zeros((5, 0)), {}, r"recording is a ndarray of shape \(5, 0\)"),
+        (np.zeros((4, 5, 9)), {}, r"ndarray of shape \(4, 5, 9\); .*one by one"),
+        ([np.zeros((9, 3))] * 2, {}, r"recording is a list of shape \(2, 9, 3\)"),
+        (["a", "b"], {}, "recording must be an array of numbers"),
+        ([[1, 2], [3]], {}, "recording must be an array of numbers"),
+        ([1, np.inf, np.nan, -np.inf], {}, r"infinity in 2 of 4 .* frame 1; replace"),
+        ({}, {}, r"holds markers of \{\} frames; pass at least one"),
+        ({"a": [1.0], "b": [1.0, 2.0]}, {}, r"\{'a': 1, 'b': 2\} frames"),
+    ],
+)
+def test_bad_recordings(recording, options, message):
+    with pytest.raises(ValueError, match=message):
+        fill_gaps(recording, **({"max_gap": 1} | options))
+
+
+def test_masked_markers_are_refused_then_filled(walk):
+    markers = [np.ma.masked_array(marker, mask=False) for marker in walk]
+    smooth = [np.ma.masked_array(marker) for marker in WALK]
+    expected, _ = leg_angles(*smooth, forward=0, up=1)
+    markers[1][7, 2] = 9000.0
+    markers[1][7, 2] = np.ma.masked
+    with pytest.raises(ValueError, match=r"knee holds .*masked.* frame 7; .*fill_gaps"):
+        leg_angles(*markers, forward=0, up=1)
+    smooth[1][100:103] = np.ma.masked
+    filled = [fill_gaps(marker, max_gap=3)[0] for marker in smooth]
+    angles, _ = leg_angles(*filled, forward=0, up=1)
+    # 20 ms at 150 Hz.
+    assert np.abs(angles - expected).max() < np.radians(0.05)
 
 
 def _with(marker, frame, value):

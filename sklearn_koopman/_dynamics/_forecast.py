@@ -68,7 +68,10 @@ def apply_powers(
 def relift_states(
     X: Array, y: Array, targets: KernelExpansion, n_jobs: int | None = None
 ) -> None:
-    """Forecast by the learned map of states, whose columns follow those of outputs."""
+    """Forecast by the learned map of states, whose columns follow those of outputs.
+
+    Starts that are far from the training data are warned about.
+    """
     n_features, n_outputs = X.shape[1], y.shape[2]
     limit = MAX_GROWTH * (np.abs(targets.sections.points).max() or 1.0)
     alive = np.arange(len(X))
@@ -78,7 +81,8 @@ def relift_states(
             alive, X = alive[near], X[near]
         if len(alive) == 0:
             return
-        values = targets(X, n_jobs)
+        # Later steps go where the learned map goes, whether or not data are there.
+        values = (targets if step else targets.predict)(X, n_jobs)
         y[alive, step] = values[:, :n_outputs]
         X = values[:, -n_features:]
 

@@ -19,6 +19,7 @@ from sklearn.utils.parallel import Parallel, delayed
 
 from .._utils._parallel import by_rows, one_thread
 from .._utils._typing import Array, Indices
+from .._utils._warnings import ExtrapolationWarning, warn
 from ..kernels import MAX_SCALED_COORDINATE, RadialKernel, radial_values, scale_states
 from . import _sparse
 from ._polynomial import polynomial
@@ -43,6 +44,11 @@ NEAR = 1e-6
 # Products are not used for states with larger coordinates, or with larger squared
 # distances from their mean, in units of beta.
 MAX_SIZE_FOR_PRODUCTS = 1e3
+# A centre has a say at a state if their kernel sections have at least this correlation.
+# Where none has, the squared power function is about 1 % or less below its prior value.
+MIN_CORRELATION = 0.1
+# One centre in so many is asked first: they reach most rows.
+CENTERS_PER_PILOT = 128
 
 
 class Sections(Protocol):
@@ -167,7 +173,23 @@ class KernelExpansion(NamedTuple):
 
     def __call__(self, X: Array, n_jobs: int | None = None) -> Array:
         """Evaluate the function at the rows of X; O(n M) operations."""
-        values = product(self.sections, X, self.dual_coef, n_jobs)
+        return self._with_trend(product(self.sections, X, self.dual_coef, n_jobs), X)
+
+    def predict(self, X: Array, n_jobs: int | None = None) -> Array:
+        """Evaluate the function, and warn of rows at which no centre has a say."""
+        values = product(self.sections, X, self.dual_coef, n_jobs, tell_reached=True)
+        values, reached = values[:, :-1].copy(), values[:, -1]
+        if not reached.all():
+            some = "Some" if reached.any() else "All"
+            warn(
+                f"{some} states of X are so far from the training data that no centre "
+                "has a say there: predictions are close to the trend, or to 0. Give X "
+                "the units and the scaling of the training data, or raise beta.",
+                ExtrapolationWarning,
+            )
+        return self._with_trend(values, X)
+
+    def _with_trend(self, values: Array, X: Array) -> Array:
         if len(self.trend_coef):
             values += polynomial(X, self.origin, self.trend_coef)
         return values
@@ -230,22 +252,49 @@ def gram_matrix(sections: Sections, nugget: Array) -> tuple[Array, Array, float]
 
 
 def product(
-    sections: Sections, X: Array, dual: Array, n_jobs: int | None = None
+    sections: Sections,
+    X: Array,
+    dual: Array,
+    n_jobs: int | None = None,
+    *,
+    tell_reached: bool = False,
 ) -> Array:
-    """Evaluate k(X, Xi) @ dual without holding k(X, Xi)."""
+    """Evaluate k(X, Xi) @ dual without holding k(X, Xi).
+
+    `tell_reached` appends a column that is 0 where no centre has a say.
+    """
     tree = sparse_tree(sections, X)
     if tree is not None:
 
         def evaluate_sparsely(X: Array) -> Array:
-            return sparse_matrix(sections, X, tree) @ dual
+            K = sparse_matrix(sections, X, tree)
+            values = K @ dual
+            if tell_reached:
+                reached = K.max(axis=1).toarray() >= MIN_CORRELATION
+                values = np.column_stack([values, reached])
+            return values
 
         return by_rows(evaluate_sparsely, X, SPARSE_ROWS, n_jobs)
+    n_outputs = dual.shape[1]
 
     def evaluate(X: Array) -> Array:
-        values = np.zeros((len(X), dual.shape[1]))
+        values = np.zeros((len(X), n_outputs + tell_reached))
+        sums, reached = values[:, :n_outputs], values[:, n_outputs:]
         fill, work = sections.tiles(X, exact=False), np.empty(TILE_ENTRIES)
+        if tell_reached:
+            correlate = _correlations(sections, X)
+            few = slice(0, sections.size, CENTERS_PER_PILOT)
+            height = max(TILE_ENTRIES * CENTERS_PER_PILOT // sections.size, 1)
+            for rows in _slices(0, len(X) if len(X) > TILE_ROWS else 0, height):
+                tile = _filled(fill, rows, few, work)
+                reached[rows, 0] = correlate(tile, rows, few) >= MIN_CORRELATION
+        some_left = not reached.all()
         for rows, columns in _grid(len(X), sections.size):
-            values[rows] += _filled(fill, rows, columns, work) @ dual[columns]
+            tile = _filled(fill, rows, columns, work)
+            sums[rows] += tile @ dual[columns]
+            if some_left and not reached[rows].all():
+                largest = correlate(tile, rows, columns)
+                reached[rows, 0] += largest >= MIN_CORRELATION
         return values
 
     # Scaled copies of the rows are made once a slab, of whole tiles: sums of exact ones
@@ -257,6 +306,23 @@ def product(
         return evaluate(X)
     with one_thread():
         return by_rows(evaluate, X, n_rows, n_jobs)
+
+
+def _correlations(
+    sections: Sections, X: Array
+) -> Callable[[Array, slice, slice], Array]:
+    """Return a function that gives the largest correlation in each row of a tile."""
+    if isinstance(sections.kernel, RadialKernel):  # whose sections have norm 1
+        return lambda tile, rows, columns: tile.max(axis=1)
+    left = np.sqrt(sections.smooth_diagonal(X))
+    right = np.repeat(left[:1], sections.size)
+    if isinstance(sections, KernelSections):
+        right = np.sqrt(sections.smooth_diagonal(sections.points))
+
+    def correlate(tile: Array, rows: slice, columns: slice) -> Array:
+        return (np.abs(tile) / right[columns]).max(axis=1) / left[rows]
+
+    return correlate
 
 
 def sparse_tree(
@@ -326,7 +392,9 @@ def _height(n_columns: int) -> int:
 
 
 def _filled(fill: Tiles, rows: slice, columns: slice, work: Array) -> Array:
-    n_rows, n_columns = rows.stop - rows.start, columns.stop - columns.start
+    n_rows, n_columns = (
+        len(range(s.start, s.stop, s.step or 1)) for s in (rows, columns)
+    )
     tile = work[: n_rows * n_columns].reshape(n_rows, n_columns)
     fill(rows, columns, tile)
     return tile

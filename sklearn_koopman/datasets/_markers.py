@@ -12,9 +12,12 @@ from sklearn.utils import Bunch
 from .._utils._typing import Array
 from .._utils._validation import check_choice, check_number
 
-UNITS = ("mm", "cm", "m")
-# Markers of a body that are all closer together than this, in mm, have another unit.
-MIN_BODY_SIZE = 200.0
+IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+# As files spell them out; the British end in -metre.
+SPELLED_OUT = {"millimeters": "mm", "centimeters": "cm", "meters": "m"}
+# Markers of a body that are closer together than this, in mm, or farther apart, have
+# the unit that brings them nearest to the usual size.
+MIN_BODY_SIZE, USUAL_BODY_SIZE, MAX_BODY_SIZE = 200.0, 1000.0, 3000.0
 # Stamps in seconds may be rounded to milliseconds, and rates to 1 %.
 TIME_ROUNDING = 0.001
 RATE_TOLERANCE = 0.01
@@ -28,7 +31,7 @@ class _Header(NamedTuple):
     n_lines: int
     time_column: int
     rate: float
-    unit: str | None = None
+    unit: str = "mm"
     n_frames: float | None = None
 
 
@@ -41,6 +44,7 @@ def load_markers(
     markers: Sequence[str] | None = None,
     rate: float = 150.0,
     unit: str | None = None,
+    gaps: str = "raise",
 ) -> Bunch:
     r"""Read marker positions from a tab-separated or an OpenSim TRC file.
 
@@ -54,14 +58,18 @@ def load_markers(
         The file.
     markers : sequence of str, default=None
         Names of the markers to read; None reads all. Only markers that are read are
-        checked for gaps.
+        checked for gaps and for their size.
     rate : float, default=150.0
         Frames per second of a tab-separated file, which does not state it. Not used
         for TRC files, which state it.
     unit : {"mm", "cm", "m"}, default=None
         Unit of the coordinates. None takes the unit of the TRC header, or "mm" for a
-        tab-separated file, where the size of the body is checked. A unit that is given
-        for a tab-separated file is not checked.
+        tab-separated file, and refuses a body that would be smaller than 20 cm or
+        larger than 3 m, and that another unit brings nearer to 1 m. A unit that is
+        given wins over the header, and is not checked.
+    gaps : {"raise", "nan"}, default="raise"
+        Whether gaps in the markers that are read are refused, or returned as NaN, for
+        instance to fill them by :func:`~sklearn_koopman.kinematics.fill_gaps`.
 
     Returns
     -------
@@ -89,16 +97,18 @@ def load_markers(
         If there is no such file.
     ValueError
         If the file is empty or not of either format; if a marker is missing, appears
-        twice, or lacks a coordinate; if a marker that is read has gaps; if a line has
-        too few or too many fields, or a field is not a number; if frames are missing
-        or out of order; if the rate, the unit or the numbers of frames and markers
-        contradict the file. The message names the file, the line or marker, and what
-        to do.
+        twice, or lacks a coordinate; if a marker that is read has gaps, unless `gaps`
+        lets them pass; if a line has too few or too many fields, or a field is not a
+        number; if frames are missing or out of order; if the rate or the numbers of
+        frames and markers contradict the file; if the file names no unit, or one that
+        the size of the body contradicts. The message names the file, the line or
+        marker, and what to do.
 
     See Also
     --------
     load_trials : Reads arrays of several trials.
     make_walking : Synthetic markers.
+    sklearn_koopman.kinematics.fill_gaps : Fills short gaps.
     sklearn_koopman.kinematics.leg_angles : Joint angles from markers.
 
     Notes
@@ -107,6 +117,9 @@ def load_markers(
     ``Time  NAMEX  NAMEY  NAMEZ ...``, and one line a frame. `Time` holds either the
     number of the frame or seconds; seconds may be rounded to milliseconds, and must
     agree with `rate` within 1 %. Frame numbers are whole and advance by one.
+
+    The size of a body is the median over the frames of the largest extent of its
+    markers along an axis. A single marker has no size, and is not checked.
 
     A gap is a blank, NaN or infinite coordinate. Some programs write ``0  0  0``
     instead; such zeros cannot be told from a position and are returned as they are.
@@ -136,7 +149,8 @@ def load_markers(
     (array([0.  , 0.01]), 'mm')
     """
     check_number(rate, "rate", positive=True)
-    check_choice(unit, "unit", (None, *UNITS))
+    check_choice(unit, "unit", (None, *IN_MM))
+    check_choice(gaps, "gaps", ("raise", "nan"))
     where = os.fspath(path)
     # Bytes that cannot be decoded matter only where a name or number is expected.
     text = Path(path).read_text(encoding="utf-8-sig", errors="replace")
@@ -145,19 +159,14 @@ def load_markers(
     try:
         header = _trc_header(lines) if is_trc else _tsv_header(lines, float(rate))
         names = _select(markers, list(header.columns))
-        if header.unit is not None and unit not in (None, header.unit):
-            raise ValueError(
-                f"line 3: the unit is {header.unit!r} but unit={unit!r}; leave unit "
-                "out, or correct the header."
-            )
         rows = _rows(lines, header)
         frames = _frame_numbers(rows, header)
         positions = _positions(rows, header, names)
-        if header.unit is None and unit is None:
-            _check_millimetres(positions)
+        if gaps == "raise":
+            _refuse_gaps(positions, [line for line, _ in rows])
+        units = unit or _unit_of_file(header.unit, positions)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
-    units = header.unit or unit or "mm"
     return Bunch(
         markers=positions,
         names=names,
@@ -205,9 +214,8 @@ def _trc_header(lines: list[str]) -> _Header:
                 "the names of line 2 and the values of line 3 by tabs."
             ) from None
     rate, n_frames, n_markers = numbers
-    unit = meta.get("Units", "").lower()
+    unit = meta.get("Units", "")
     check_number(rate, "line 3: DataRate", positive=True)
-    check_choice(unit, "line 3: Units", UNITS)
     head, axes = _cells(lines[3]), _cells(lines[4])[2:]
     if [label[:5].lower() for label in head[:2]] != ["frame", "time"]:
         raise ValueError(
@@ -326,31 +334,53 @@ def _frame_numbers(rows: _Rows, header: _Header) -> Array:
 
 
 def _positions(rows: _Rows, header: _Header, names: list[str]) -> dict[str, Array]:
-    """Return the coordinates of the markers; refuse gaps, all of them at once."""
-    positions: dict[str, Array] = {}
-    gaps = []
+    """Return the coordinates of the markers; a blank or infinite one becomes NaN."""
+    positions = {}
     for name in names:
         columns = [_floats(rows, i, header) for i in header.columns[name]]
-        positions[name] = np.column_stack(columns)
-        lost = np.flatnonzero(~np.isfinite(positions[name]).all(axis=1))
-        if len(lost):
-            line = rows[lost[0]][0]
-            gaps.append(f"{name!r} in {len(lost)} frames, first in line {line}")
-    if gaps:
-        raise ValueError(
-            f"of {len(rows)} frames, coordinates are missing for {'; '.join(gaps)}. "
-            "Fill the gaps, cut the file there, or leave these markers out."
-        )
+        values = np.column_stack(columns)
+        positions[name] = np.where(np.isfinite(values), values, np.nan)
     return positions
 
 
-def _check_millimetres(positions: dict[str, Array]) -> None:
-    """Refuse coordinates that are too small to be millimetres."""
-    cloud = np.stack(list(positions.values()))
-    extent = float(np.median(np.ptp(cloud, axis=0).max(axis=-1)))
-    if len(cloud) > 1 and extent < MIN_BODY_SIZE:
-        guess = "m" if extent < 3 else "cm"
+def _refuse_gaps(positions: dict[str, Array], lines: list[int]) -> None:
+    """Refuse gaps, all of them at once; each frame is a line of the file."""
+    gaps = []
+    for name, values in positions.items():
+        lost = np.flatnonzero(np.isnan(values).any(axis=1))
+        if len(lost):
+            first = lines[lost[0]]
+            gaps.append(f"{name!r} in {len(lost)} frames, first in line {first}")
+    if gaps:
         raise ValueError(
-            f"the markers of a frame are only {extent:.3g} apart, like {guess} instead "
-            f"of mm; pass unit={guess!r}, or unit='mm' if they are that close."
+            f"of {len(lines)} frames, coordinates are missing for {'; '.join(gaps)}. "
+            "Fill short gaps: pass gaps='nan', and the markers to "
+            "kinematics.fill_gaps; or cut the file there, or leave these markers out."
         )
+
+
+def _unit_of_file(claimed: str, positions: dict[str, Array]) -> str:
+    """Return the unit that a file claims; refuse it if the body has another size."""
+    name = claimed.lower().replace("metre", "meter")
+    unit = SPELLED_OUT.get(name, name)
+    if unit not in IN_MM:
+        raise ValueError(
+            f"the file gives {claimed!r} as its unit, not 'mm', 'cm' or 'm'; pass "
+            "unit, which wins over the file."
+        )
+    cloud = np.stack([*positions.values()])
+    # Unlike max and min, these ignore NaN.
+    extents = np.fmax.reduce(cloud) - np.fmin.reduce(cloud)
+    sizes = np.fmax.reduce(extents, axis=1)
+    sizes = sizes[sizes > 0]  # frames with several markers
+    if not len(sizes):
+        return unit
+    size = float(np.median(sizes))
+    is_usual = MIN_BODY_SIZE <= size * IN_MM[unit] <= MAX_BODY_SIZE
+    likely = min(IN_MM, key=lambda u: abs(np.log(size * IN_MM[u] / USUAL_BODY_SIZE)))
+    if not is_usual and likely != unit:
+        raise ValueError(
+            f"the markers of a frame are {size:.3g} apart, like {likely} instead of "
+            f"{unit}; pass unit={likely!r}, or unit={unit!r} if the file is right."
+        )
+    return unit
