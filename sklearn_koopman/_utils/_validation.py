@@ -74,6 +74,23 @@ def check_columns(data: Any, name: str, other: Any, other_name: str) -> None:
         )
 
 
+def refuse_masked(**data: Any) -> None:
+    """Refuse arrays with masked values, which a conversion would make values again."""
+    for name, value in data.items():
+        parts = value if isinstance(value, list | tuple) else [value]
+        count = sum(
+            int(np.ma.count_masked(part))
+            for part in parts
+            if isinstance(part, np.ma.MaskedArray)
+        )
+        if count:
+            raise ValueError(
+                f"{name} holds {count} masked values; fill them, drop their rows, or "
+                "pair recordings by trajectory_pairs(gaps='split'), which leaves them "
+                "out."
+            )
+
+
 def check_magnitude(X: Array, smallest: float = MIN_MAGNITUDE, name: str = "X") -> None:
     """Refuse states whose squared distances leave the range of a double."""
     largest = max(X.max(), -X.min())  # without a copy of all values
