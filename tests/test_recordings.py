@@ -15,9 +15,9 @@ def test_masked_values_are_refused_and_counted():
     masked = np.ma.masked_greater(np.arange(6.0).reshape(3, 2), 3)
     with pytest.raises(ValueError, match=r"^X holds 2 masked values; .*split"):
         refuse_masked(X=masked)
-    with pytest.raises(ValueError, match="^y holds 2 masked"):
-        refuse_masked(X=np.ones(3), y=[row for row in masked])
-    with pytest.raises(ValueError, match="^X_next holds 1 masked"):
+    with pytest.raises(ValueError, match=r"^y holds 2 masked"):
+        refuse_masked(X=np.ones(3), y=list(masked))
+    with pytest.raises(ValueError, match=r"^X_next holds 1 masked"):
         refuse_masked(X_next=np.ma.array([1, 2], mask=[True, False]), y=None)
     refuse_masked(X=np.ma.array([1.0, 2]), y=[[1.0], [2.0]], sample_index=None)
 

@@ -21,7 +21,7 @@ def index_level(name: str, *data: Any) -> Array | None:
         The level of the first DataFrame or Series that has it, else None.
     """
     for frame in data:
-        index = getattr(frame, "index", None)  # a list has a method of this name
+        index: Any = getattr(frame, "index", None)  # a list has a method so named
         if name in getattr(index, "names", ()):
             return index.get_level_values(name).to_numpy()
     return None

@@ -79,7 +79,7 @@ def refuse_masked(**data: Any) -> None:
     for name, value in data.items():
         parts = value if isinstance(value, list | tuple) else [value]
         count = sum(
-            int(np.ma.count_masked(part))
+            np.count_nonzero(np.ma.getmaskarray(part))
             for part in parts
             if isinstance(part, np.ma.MaskedArray)
         )
