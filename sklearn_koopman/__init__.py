@@ -8,7 +8,7 @@ from .edmd import KernelEDMD
 from .regression import KoopmanKernelRegressor
 from .scoring import make_forecast_scorer, make_valid_time_scorer
 from .search import KoopmanKernelRegressorCV
-from .trajectories import TrajectoryKFold, trajectory_pairs
+from .trajectories import TrajectoryKFold, current_states, trajectory_pairs
 
 if TYPE_CHECKING:
     from . import datasets, diagnostics, kinematics, plotting
@@ -19,6 +19,7 @@ __all__ = [
     "KoopmanKernelRegressorCV",
     "SeparatedCenterSelector",
     "TrajectoryKFold",
+    "current_states",
     "datasets",
     "diagnostics",
     "kinematics",
