@@ -166,7 +166,7 @@ def read_recordings(
                 "not count frames or seconds by reset_index(drop=True)."
             )
         columns = y.reshape(len(y), -1)
-        is_there = np.isfinite(np.column_stack([x, columns])).all(axis=-1)
+        is_there = np.asarray(np.isfinite(np.column_stack([x, columns])).all(axis=1))
         is_link = is_there[1:] & is_there[:-1] & ~is_hole
         sources = [(name, items, x)]
         if outputs is not None:
