@@ -13,7 +13,7 @@ from sklearn.utils import Bunch
 
 from ._utils._embedding import EMBEDDINGS, check_offsets, embed, embedded_names
 from ._utils._frames import index_level
-from ._utils._recordings import Samples, as_list, column_names, read_recordings
+from ._utils._recordings import Samples, read_recordings
 from ._utils._rows import distinct_rows
 from ._utils._typing import Array, Indices
 from ._utils._validation import check_choice, check_integer
@@ -183,7 +183,7 @@ of them, default=None
     check_integer(lag, "lag", 1)
     offsets = check_offsets(delays, delay_step)
     _check_embedding(embedding, outputs, outputs_in_state)
-    recordings = read_recordings(
+    recordings, names, output_names, is_pandas = read_recordings(
         trajectories, outputs, gaps=gaps, rates=rates, resample=resample
     )
     least = offsets[-1] + lag + 1
@@ -223,12 +223,10 @@ of them, default=None
     pairs = Bunch(
         **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     )
-    states = as_list(trajectories, "trajectories")
-    measured = None if outputs is None else as_list(outputs, "outputs")
-    pairs.feature_names, output_names = _column_names(
-        states, measured, offsets, embedding, outputs_in_state
+    pairs.feature_names = _feature_names(
+        names, output_names, offsets, embedding, outputs_in_state
     )
-    if _gives_frames(states):
+    if is_pandas or get_config()["transform_output"] == "pandas":
         import pandas as pd
 
         index = pd.MultiIndex.from_arrays(
@@ -328,7 +326,7 @@ def current_states(
     _check_embedding(embedding, outputs, outputs_in_state)
     # Outputs that are still to be measured must not cut the states.
     used = outputs if outputs_in_state else None
-    recordings = read_recordings(
+    recordings, names, output_names, is_pandas = read_recordings(
         recording, used, gaps=gaps, rates=rates, resample=resample, name="recording"
     )
     if len(recordings) > 1:
@@ -349,15 +347,12 @@ def current_states(
             f"{delay_step=} need {offsets[-1] + 1} samples without a gap up to one of "
             "them; pass a longer recording, or fill its gaps by kinematics.fill_gaps."
         )
-    states = as_list(recording, "recording")
-    if not _gives_frames(states):
+    if not is_pandas and get_config()["transform_output"] != "pandas":
         return X
     import pandas as pd
 
-    measured = None if used is None else as_list(used, "outputs")
-    names, _ = _column_names(states, measured, offsets, embedding, outputs_in_state)
-    index = pd.Index(np.concatenate(frames), name="frame")
-    return pd.DataFrame(X, index, names)
+    features = _feature_names(names, output_names, offsets, embedding, outputs_in_state)
+    return pd.DataFrame(X, pd.Index(np.concatenate(frames), name="frame"), features)
 
 
 def _check_embedding(embedding: Any, outputs: Any, outputs_in_state: Any) -> None:
@@ -381,29 +376,19 @@ def _embedded(
     return np.hstack([state, embed(measured, offsets, embedding)])
 
 
-def _column_names(
-    trajectories: list[Any],
-    outputs: list[Any] | None,
+def _feature_names(
+    names: list[str],
+    output_names: list[str],
     offsets: Indices,
     embedding: str,
     outputs_in_state: bool,
-) -> tuple[list[str], list[str]]:
-    """Return the names of the columns of the states and of the outputs."""
-    names = column_names(trajectories, "x")
-    if outputs is None:
-        return embedded_names(names, offsets, embedding), names
-    output_names = column_names(outputs, "y")
+) -> list[str]:
+    """Name the columns of the embedded states."""
     features = embedded_names(names, offsets, embedding)
     if outputs_in_state:
         appended = [f"output_{y}" if y in names else y for y in output_names]
         features += embedded_names(appended, offsets, embedding)
-    return features, output_names
-
-
-def _gives_frames(trajectories: list[Any]) -> bool:
-    """Return whether pandas' objects come in, or are asked for."""
-    asked = get_config()["transform_output"] == "pandas"
-    return asked or any(hasattr(item, "iloc") for item in trajectories)
+    return features
 
 
 def successor_rows(sample_index: Any) -> tuple[Indices, Indices]:

@@ -578,9 +578,9 @@ def test_angles_that_wrap_warn_once(turn, period, centred, speed):
         trajectory_pairs(recordings)
     assert len(caught) == 1
     assert caught[0].filename == __file__
-    with pytest.warns(UserWarning, match=r"^outputs\[0\] .*in column 0:"):
+    with pytest.warns(UserWarning, match=r"^outputs\[0\] .*in column y0:"):
         trajectory_pairs(good, angle)
-    with pytest.warns(UserWarning, match=r"^recording\[0\] .*in column 1:"):
+    with pytest.warns(UserWarning, match=r"^recording\[0\] .*in column x1:"):
         current_states(np.column_stack([smooth, angle]))
     # The remedy, for states and outputs.
     unwrapped = np.unwrap(angle, axis=0, period=turn)

@@ -86,6 +86,27 @@ class Recording(NamedTuple):
         ]
 
 
+class Recordings(NamedTuple):
+    """Recordings with the same columns.
+
+    Attributes
+    ----------
+    recordings : list of Recording
+        One for each trajectory.
+    names : list of str
+        The names of the states.
+    output_names : list of str
+        The names of the outputs.
+    is_pandas : bool
+        Whether the states of one of them, at least, were a DataFrame of pandas.
+    """
+
+    recordings: list[Recording]
+    names: list[str]
+    output_names: list[str]
+    is_pandas: bool
+
+
 def read_recordings(
     trajectories: Any,
     outputs: Any,
@@ -94,7 +115,7 @@ def read_recordings(
     rates: Any,
     resample: Any,
     name: str = "trajectories",
-) -> list[Recording]:
+) -> Recordings:
     """Validate recordings, and find their clocks, gaps and wraps.
 
     Parameters
@@ -114,7 +135,7 @@ def read_recordings(
 
     Returns
     -------
-    recordings : list of Recording
+    recordings : Recordings
         One for each trajectory.
 
     Raises
@@ -130,11 +151,11 @@ def read_recordings(
     check_choice(gaps, "gaps", ("raise", "split"))
     if resample is not None:
         check_number(resample, "resample", positive=True)
-    items = as_list(trajectories, name)
+    items = _as_list(trajectories, name)
     states = _as_arrays(items, name, gaps)
     targets, measured = items, states
     if outputs is not None:
-        targets = as_list(outputs, "outputs")
+        targets = _as_list(outputs, "outputs")
         measured = _as_arrays(targets, "outputs", gaps)
     if len(states) != len(measured):
         raise ValueError(
@@ -152,6 +173,10 @@ def read_recordings(
     clocks = find_clocks(labels, states, resample)
     known = resolve_rates(rates, clocks, resample)
 
+    names = _column_names(items, states[0], "x")
+    output_names = names
+    if outputs is not None:
+        output_names = _column_names(targets, measured[0], "y")
     recordings = []
     wraps: list[tuple[str, str, float]] = []
     for number, (x, y) in enumerate(zip(states, measured, strict=True)):
@@ -168,14 +193,13 @@ def read_recordings(
         columns = y.reshape(len(y), -1)
         is_there = np.asarray(np.isfinite(np.column_stack([x, columns])).all(axis=1))
         is_link = is_there[1:] & is_there[:-1] & ~is_hole
-        sources = [(name, items, x)]
+        sources = [(name, names, x)]
         if outputs is not None:
-            sources.append(("outputs", targets, columns))
-        for source, given, values in sources:
+            sources.append(("outputs", output_names, columns))
+        for source, labelled, values in sources:
             turns = find_wraps(values[:-1][is_link], values[1:][is_link])
             if turns:
-                own = column_names(given, "")
-                shown = ", ".join(own[column] for column in turns)
+                shown = ", ".join(labelled[column] for column in turns)
                 wraps.append((f"{source}[{number}]", shown, min(turns.values())))
         samples = _samples(x, y, clocks[number], known[number])
         recordings.append(Recording(samples, _pieces(is_there, is_link)))
@@ -188,10 +212,11 @@ def read_recordings(
             "angles wrap, and the jumps are no motion. Unwrap them by np.unwrap(..., "
             f"axis=0, period={period})."
         )
-    return recordings
+    is_pandas = any(hasattr(item, "iloc") for item in items)
+    return Recordings(recordings, names, output_names, is_pandas)
 
 
-def as_list(data: Any, name: str) -> list[Any]:
+def _as_list(data: Any, name: str) -> list[Any]:
     """Return one recording or several as a list; refuse arrays with three axes."""
     if isinstance(data, np.ndarray) and data.dtype == object and data.ndim == 1:
         data = list(data)  # of arrays of unequal length
@@ -208,13 +233,15 @@ def as_list(data: Any, name: str) -> list[Any]:
     return list(data)
 
 
-def column_names(items: list[Any], prefix: str) -> list[str]:
+def _column_names(items: list[Any], first: Array, prefix: str) -> list[str]:
     """Return the names of the columns of the first frame, else numbered ones.
 
     Parameters
     ----------
     items : list of array-like
-        The recordings.
+        The recordings as they were given.
+    first : ndarray of shape (n_samples,) or (n_samples, n_columns)
+        The values of the first one.
     prefix : str
         What to put in front of the number of a column without a name.
 
@@ -223,18 +250,17 @@ def column_names(items: list[Any], prefix: str) -> list[str]:
     names : list of str
         One a column. Parts of a name with several are joined by "_".
     """
+    n_columns = first.shape[1] if first.ndim == 2 else 1
     for item in items:
         columns = getattr(item, "columns", None)
-        name = getattr(item, "name", None)
-        if name and len(np.shape(item)) == 1:
-            columns = [name]  # of a Series
-        if columns is not None and list(columns) != list(range(len(columns))):
+        if first.ndim == 1 and getattr(item, "name", None):
+            columns = [item.name]  # of a Series
+        if columns is not None and list(columns) != list(range(n_columns)):
             return [
                 "_".join(map(str, name)) if isinstance(name, tuple) else str(name)
                 for name in columns
             ]
-    first = np.shape(items[0])
-    return [f"{prefix}{column}" for column in range(first[1] if first[1:] else 1)]
+    return [f"{prefix}{column}" for column in range(n_columns)]
 
 
 def find_wraps(rows: Array, following: Array) -> dict[int, float]:
