@@ -9,7 +9,7 @@ from .edmd import KernelEDMD, forecast
 from .regression import KoopmanKernelRegressor
 from .scoring import make_forecast_scorer, make_valid_time_scorer
 from .search import KoopmanKernelRegressorCV
-from .trajectories import TrajectoryKFold, trajectory_pairs
+from .trajectories import TrajectoryKFold, current_states, trajectory_pairs
 
 if TYPE_CHECKING:
     from . import datasets, diagnostics, kinematics, plotting
@@ -21,6 +21,7 @@ __all__ = [
     "KoopmanKernelRegressorCV",
     "SeparatedCenterSelector",
     "TrajectoryKFold",
+    "current_states",
     "datasets",
     "diagnostics",
     "forecast",

@@ -297,7 +297,7 @@ default=None
             If conjugate gradients, which ``solver="auto"`` takes for a winner with
             many centres, have not reached their tolerance.
         """
-        given = X
+        given, given_y = X, y
         refuse_masked(X=X, y=y)
         X, y = check_X_y(
             X, y, multi_output=True, y_numeric=True, dtype=np.float64, estimator=self
@@ -311,7 +311,8 @@ default=None
         scorer = check_scoring(IdentityRegressor(), scoring=self.scoring)
         if self.cv is None and self.scoring is None:
             scorer = negative_squared_errors
-        splits = self._splits(X, y, groups)
+        # As they were given: the index of a DataFrame may tell the trials.
+        splits = self._splits(given, given_y, groups)
         centers, points = self.centers, X
         if hasattr(centers, "fit") and not isinstance(centers, type):
             # Fitted once: the winner has the centres that it was chosen with.
@@ -461,7 +462,7 @@ default=None
         check_parameters(self, method=METHODS, trend=DEGREES, solver=SOLVERS)
         return grid
 
-    def _splits(self, X: Array, y: Array, groups: Any) -> list[Split]:
+    def _splits(self, X: Any, y: Any, groups: Any) -> list[Split]:
         cv = LeaveOneOut() if self.cv is None else self.cv
         splits: list[Split] = []
         every = np.arange(len(X))

@@ -7,14 +7,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn import get_config
 from sklearn.model_selection import BaseCrossValidator, GroupKFold, KFold
-from sklearn.utils import Bunch, check_array
+from sklearn.utils import Bunch
 
+from ._utils._embedding import EMBEDDINGS, check_offsets, embed, embedded_names
+from ._utils._frames import index_level
+from ._utils._recordings import Samples, read_recordings
 from ._utils._rows import distinct_rows
 from ._utils._typing import Array, Indices
-from ._utils._validation import check_columns, check_integer
+from ._utils._validation import check_choice, check_integer
 
-__all__ = ["TrajectoryKFold", "successor_rows", "trajectory_pairs"]
+__all__ = ["TrajectoryKFold", "current_states", "successor_rows", "trajectory_pairs"]
 
 
 def trajectory_pairs(
@@ -22,72 +26,128 @@ def trajectory_pairs(
     outputs: ArrayLike | Sequence[ArrayLike] | None = None,
     *,
     lag: int = 1,
-    delays: int = 1,
-    delay_step: int = 1,
+    delays: int | Sequence[int] = 1,
+    delay_step: int | None = None,
+    embedding: str = "copies",
     outputs_in_state: bool = False,
+    gaps: str = "raise",
+    rates: float | Sequence[float] | None = None,
+    resample: float | None = None,
 ) -> Bunch:
     """Pair every state with the output one lag after it, within each trajectory.
 
     From samples :math:`x_0, x_1, \\dots` of one trajectory and its outputs
     :math:`y_k = G(x_k)`, row `k` of the result pairs the (delay-embedded) state
 
-    .. math:: (x_k, x_{k-\\tau}, \\dots, x_{k-(p-1)\\tau})
+    .. math:: (x_k, x_{k-o_1}, \\dots, x_{k-o_{p-1}})
 
     with the output :math:`y_{k + \\ell} = (U_{f^\\ell} G)(x_k)` for `lag`
-    :math:`\\ell`, `delays` :math:`p` and `delay_step` :math:`\\tau`. Here f is the map
-    from one sample to the next, and :math:`U_f` its Koopman operator. These are the
-    pairs :math:`(\\xi, \\upsilon)` of [1]_, Section 3.2. The samples of a pair always
-    come from one trajectory.
+    :math:`\\ell` and the offsets :math:`0 < o_1 < \\dots < o_{p-1}` of `delays`. Here f
+    is the map from one sample to the next, and :math:`U_f` its Koopman operator. These
+    are the pairs :math:`(\\xi, \\upsilon)` of [1]_, Section 3.2. The samples of a pair
+    always come from one trajectory, and never from both sides of a gap.
 
     Parameters
     ----------
     trajectories : array-like of shape (n_samples, n_features), or list of them
-        One trajectory, or several of any lengths, all sampled at the same rate. A NumPy
-        array with three axes is taken as a list of trajectories.
+        One trajectory, or several of any lengths. NaN and masked values are gaps. The
+        index of a DataFrame is its clock: whole numbers are frames, floats, timedeltas
+        and datetimes are time stamps in seconds, anything else is not used. A step of
+        the index longer than usual is a gap: in frames, longer than the smallest step;
+        in seconds, than 1.5 usual steps. Time stamps may jitter by a quarter of a step.
     outputs : array-like of shape (n_samples,) or (n_samples, n_outputs), or list \
 of them, default=None
         The quantities to predict, sampled together with the states: one array for each
         trajectory, of the same length. By default the states themselves.
     lag : int, default=1
         Number of samples from a state to its output.
-    delays : int, default=1
-        Number of copies of the state in a row, the current one included. Motion whose
-        measured state does not determine its future (such as gait in joint angles)
-        needs more than one.
-    delay_step : int, default=1
-        Number of samples between two copies of the state.
+    delays : int or sequence of int, default=1
+        Number of copies of the state in a row, the current one included; or their ages
+        in samples, newest first, such as ``(0, 1, 2, 5, 10)``. Motion whose measured
+        state does not determine its future (such as gait in joint angles) needs more
+        than one copy.
+    delay_step : int, default=None
+        Number of samples between two copies of the state, where `delays` is their
+        number. None means 1.
+    embedding : {"copies", "differences"}, default="copies"
+        Whether a row holds copies of earlier states, or Newton's divided differences
+        over the same offsets, per sample: the state, its velocity, half its
+        acceleration, and so on (column block j is the j-th derivative over j! to first
+        order). Both have the same rows and width, and a linear map leads from one to
+        the other. They differ in what a kernel takes as near: standardise the columns
+        of differences. These amplify noise where offsets are close. Neither is better
+        on all data; let trajectories left out choose.
     outputs_in_state : bool, default=False
         Whether to append the current outputs, delayed like the states, to each row.
-        They follow all copies of the state. Use this where the output is also measured
+        They follow all columns of the state. Use this where the output is also measured
         at the time of prediction.
+    gaps : {"raise", "split"}, default="raise"
+        What to do about gaps in states or outputs: an error, or cut the trajectory
+        there. Its pieces keep its group, frames and time. Pieces too short for a pair
+        are left out.
+    rates : float or sequence of float, default=None
+        Samples a second, of all trajectories or of each. None reads them off indices
+        of time stamps. Trajectories of unequal rates (by more than 1 % if read off)
+        need `resample`.
+    resample : float, default=None
+        Samples a second to interpolate all trajectories to, by cubic splines, within
+        each piece between gaps from its first sample on (by splines of a lower degree
+        if it has fewer than 4 samples). Nothing is extrapolated. No filter removes
+        frequencies above half of the new rate: filter before, where there are some.
+        `lag` and `delays` count the new samples. None keeps all samples.
 
     Returns
     -------
     pairs : :class:`~sklearn.utils.Bunch`
         With the attributes
 
-        X : ndarray of shape (n_pairs, n_columns)
-            The states, the current copy first, then older ones.
-        y : ndarray of shape (n_pairs,) or (n_pairs, n_outputs)
-            The outputs one `lag` after each row.
-        X_next : ndarray of shape (n_pairs, n_columns)
-            The states one `lag` after each row.
+        X : ndarray or DataFrame of shape (n_pairs, n_columns)
+            The states, the current copy first, then older ones. A DataFrame where
+            `trajectories` are pandas' DataFrames, or where scikit-learn's setting
+            ``transform_output`` is "pandas". Its index has the levels "trial" and
+            "sample_index", the `groups` and `sample_index` below.
+        y : ndarray, DataFrame or Series of shape (n_pairs,) or (n_pairs, n_outputs)
+            The outputs one `lag` after each row, with the same index.
+        X_next : ndarray or DataFrame of shape (n_pairs, n_columns)
+            The states one `lag` after each row, with the same index.
         groups : ndarray of shape (n_pairs,)
             The number of the trajectory that each row comes from.
         sample_index : ndarray of shape (n_pairs,)
             The place of each row on its trajectory. Row j follows row i (one `lag`
             later on the same trajectory) exactly if
             ``sample_index[j] == sample_index[i] + 1``.
+        time : ndarray of shape (n_pairs,)
+            When the newest sample of each row was taken: its time stamp; or seconds
+            from the start of its trajectory if there are `rates`, else samples.
+            Datetimes become seconds from the first.
+        frame : ndarray of shape (n_pairs,)
+            The number of that sample in its trajectory, or its label in an index of
+            whole numbers. After resampling the number of periods of the new rate from
+            the start of the trajectory, rounded.
+        feature_names : list of str
+            The names of the columns of `X`: those of the DataFrames, else "x0", "x1",
+            ... for states and "y0", "y1", ... for outputs. A copy that is 5 samples
+            old has the suffix "_t-5", and the difference of order 2 the suffix "_d2".
+            An output in the state that has the name of a state gets "output_" in front.
 
     Raises
     ------
     ValueError
-        If a trajectory is too short for one pair, holds NaN or infinity, or differs
-        from the others in its number of columns; if outputs and trajectories differ
-        in number or length; if `outputs_in_state` is set without `outputs`.
+        If a trajectory is too short for one pair, holds gaps (unless they split it) or
+        infinity, has three axes, or differs from the others in its columns or rate; if
+        outputs and trajectories differ in number, length or index; if an index does not
+        increase, or its time stamps are irregular; if `outputs_in_state` is set without
+        `outputs`; if a parameter is outside its range.
+
+    Warns
+    -----
+    UserWarning
+        If columns hold angles that wrap at 360 degrees or 2 pi: unwrap them by
+        :func:`numpy.unwrap`, since the jumps are no motion.
 
     See Also
     --------
+    current_states : The states at the end of a recording, which are in no pair.
     TrajectoryKFold : Cross-validation that leaves out whole trajectories.
 
     References
@@ -112,57 +172,223 @@ of them, default=None
     array([ 2.,  3.,  4., 12., 13.])
     >>> pairs.groups
     array([0, 0, 0, 1, 1])
+
+    A gap cuts a trajectory in two, and no pair reaches across it:
+
+    >>> walk[2] = np.nan
+    >>> pairs = trajectory_pairs(walk, gaps="split", rates=100)
+    >>> pairs.X.ravel(), pairs.y.ravel(), pairs.time
+    (array([0., 3.]), array([1., 4.]), array([0.  , 0.03]))
     """
-    for name, value in (("lag", lag), ("delays", delays), ("delay_step", delay_step)):
-        check_integer(value, name, 1)
+    check_integer(lag, "lag", 1)
+    offsets = check_offsets(delays, delay_step)
+    _check_embedding(embedding, outputs, outputs_in_state)
+    recordings, names, output_names, is_pandas = read_recordings(
+        trajectories, outputs, gaps=gaps, rates=rates, resample=resample
+    )
+    least = offsets[-1] + lag + 1
+    parts = []
+    clock = 0
+    for number, recording in enumerate(recordings):
+        pieces = recording.cut(resample)
+        longest = max((len(piece.time) for piece in pieces), default=0)
+        if longest < least:
+            where = "" if len(pieces) == 1 else " in its longest piece between gaps"
+            raise ValueError(
+                f"trajectory {number} has {longest} samples{where}, but {lag=}, "
+                f"{delays=} and {delay_step=} need {least}; leave it out, or lower "
+                "them."
+            )
+        for piece in pieces:
+            n_pairs = len(piece.time) - least + 1
+            if n_pairs < 1:
+                continue
+            state = _embedded(piece, offsets, embedding, outputs_in_state)
+            newest = slice(offsets[-1], offsets[-1] + n_pairs)
+            # With a lag of several samples, a piece consists of `lag` interleaved
+            # runs. Each of them is a trajectory of the map over `lag` samples.
+            step, run = np.divmod(np.arange(n_pairs), lag)
+            run_length = -(-n_pairs // lag) + 1
+            part = Bunch(
+                X=state[:n_pairs],
+                y=piece.outputs[offsets[-1] + lag :],
+                X_next=state[lag:],
+                groups=np.full(n_pairs, number),
+                sample_index=clock + run * run_length + step,
+                time=piece.time[newest],
+                frame=piece.frame[newest],
+            )
+            parts.append(part)
+            clock += lag * run_length
+    pairs = Bunch(
+        **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    )
+    pairs.feature_names = _feature_names(
+        names, output_names, offsets, embedding, outputs_in_state
+    )
+    if is_pandas or get_config()["transform_output"] == "pandas":
+        import pandas as pd
+
+        index = pd.MultiIndex.from_arrays(
+            [pairs.groups, pairs.sample_index], names=["trial", "sample_index"]
+        )
+        for name in ("X", "X_next"):
+            pairs[name] = pd.DataFrame(pairs[name], index, pairs.feature_names)
+        pairs.y = (
+            pd.Series(pairs.y, index, name=output_names[0])
+            if pairs.y.ndim == 1
+            else pd.DataFrame(pairs.y, index, output_names)
+        )
+    return pairs
+
+
+def current_states(
+    recording: ArrayLike,
+    outputs: ArrayLike | None = None,
+    *,
+    lag: int = 1,
+    delays: int | Sequence[int] = 1,
+    delay_step: int | None = None,
+    embedding: str = "copies",
+    outputs_in_state: bool = False,
+    gaps: str = "raise",
+    rates: float | None = None,
+    resample: float | None = None,
+) -> Any:
+    """Return the newest states of a recording, whose future is still to come.
+
+    These are the states of the last `lag` samples. They are in no pair of
+    :func:`trajectory_pairs`, since their outputs are not recorded yet; a model that was
+    fitted to the pairs predicts them. The parameters are those of
+    :func:`trajectory_pairs`, so that one dict of settings serves both.
+
+    Parameters
+    ----------
+    recording : array-like of shape (n_samples, n_features)
+        The states of one recording: a window of ``max(offsets) + 1`` samples gives one
+        row.
+    outputs : array-like of shape (n_samples,) or (n_samples, n_outputs), default=None
+        The outputs of the recording. They are used with `outputs_in_state` only.
+    lag : int, default=1
+        Number of samples from a state to the output to be predicted.
+    delays : int or sequence of int, default=1
+        Number of copies of the state in a row, or their ages in samples.
+    delay_step : int, default=None
+        Number of samples between two copies of the state.
+    embedding : {"copies", "differences"}, default="copies"
+        Copies of earlier states, or divided differences.
+    outputs_in_state : bool, default=False
+        Whether the outputs are part of the state.
+    gaps : {"raise", "split"}, default="raise"
+        Whether a gap in the recording is an error, or leaves out the states whose past
+        it interrupts.
+    rates : float, default=None
+        Samples a second.
+    resample : float, default=None
+        Samples a second to interpolate the recording to. The new samples are counted
+        back from the last one.
+
+    Returns
+    -------
+    X : ndarray or DataFrame of shape (n_states, n_columns)
+        The states in the order of time, at most `lag` of them, fewer where the
+        recording is short or a gap leaves some out. A DataFrame, indexed by `frame`,
+        where :func:`trajectory_pairs` would return one.
+
+    Raises
+    ------
+    ValueError
+        If no state is left; and where :func:`trajectory_pairs` raises.
+
+    Warns
+    -----
+    UserWarning
+        If columns hold angles that wrap.
+
+    See Also
+    --------
+    trajectory_pairs : The states before, with their outputs.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_koopman.trajectories import current_states, trajectory_pairs
+    >>> walk = np.arange(10.0).reshape(-1, 1)
+    >>> settings = {"lag": 2, "delays": (0, 1, 4)}
+    >>> trajectory_pairs(walk, **settings).X[-1]
+    array([7., 6., 3.])
+    >>> current_states(walk, **settings)
+    array([[8., 7., 4.],
+           [9., 8., 5.]])
+    """
+    check_integer(lag, "lag", 1)
+    offsets = check_offsets(delays, delay_step)
+    _check_embedding(embedding, outputs, outputs_in_state)
+    # Outputs that are still to be measured must not cut the states.
+    used = outputs if outputs_in_state else None
+    recordings, names, output_names, is_pandas = read_recordings(
+        recording, used, gaps=gaps, rates=rates, resample=resample, name="recording"
+    )
+    if len(recordings) > 1:
+        raise ValueError(
+            f"recording holds {len(recordings)} recordings; call current_states for "
+            "each of them."
+        )
+    rows, frames = [], []
+    for piece in recordings[0].cut(resample, from_end=True):
+        is_current = piece.remaining[offsets[-1] :] < lag
+        state = _embedded(piece, offsets, embedding, outputs_in_state)
+        rows.append(state[is_current])
+        frames.append(piece.frame[offsets[-1] :][is_current])
+    X = np.vstack(rows) if rows else np.empty((0, 0))
+    if len(X) == 0:
+        raise ValueError(
+            f"none of the last {lag} samples has a whole past: {delays=} and "
+            f"{delay_step=} need {offsets[-1] + 1} samples without a gap up to one of "
+            "them; pass a longer recording, or fill its gaps by kinematics.fill_gaps."
+        )
+    if not is_pandas and get_config()["transform_output"] != "pandas":
+        return X
+    import pandas as pd
+
+    features = _feature_names(names, output_names, offsets, embedding, outputs_in_state)
+    return pd.DataFrame(X, pd.Index(np.concatenate(frames), name="frame"), features)
+
+
+def _check_embedding(embedding: Any, outputs: Any, outputs_in_state: Any) -> None:
+    """Refuse parameters that define no state."""
+    check_choice(embedding, "embedding", EMBEDDINGS)
     if outputs is None and outputs_in_state:
         raise ValueError(
             "outputs_in_state=True needs outputs; pass the outputs, or raise delays to "
             "extend the states by earlier ones."
         )
-    states = _as_trajectories(trajectories, "trajectories")
-    measured = states if outputs is None else _as_trajectories(outputs, "outputs")
-    if len(states) != len(measured):
-        raise ValueError(
-            f"outputs holds {len(measured)} arrays for {len(states)} trajectories; "
-            "pass one array of outputs for every trajectory."
-        )
 
-    reach = (delays - 1) * delay_step
-    starts = range(reach, -1, -delay_step)  # of the copies in a state
-    parts = []
-    clock = 0
-    for number, (x, y) in enumerate(zip(states, measured, strict=True)):
-        if len(x) != len(y):
-            raise ValueError(
-                f"trajectory {number} has {len(x)} samples but its outputs have "
-                f"{len(y)}; states and outputs must be sampled together."
-            )
-        n_pairs = len(x) - reach - lag
-        if n_pairs < 1:
-            raise ValueError(
-                f"trajectory {number} has {len(x)} samples, but {lag=}, {delays=} and "
-                f"{delay_step=} need {reach + lag + 1}; leave it out, or lower them."
-            )
-        sources = [x, y.reshape(len(y), -1)] if outputs_in_state else [x]
-        copies = [z[k : k + n_pairs + lag] for z in sources for k in starts]
-        state = np.hstack(copies)
-        # With a lag of several samples, a trajectory consists of `lag` interleaved
-        # runs. Each of them is a trajectory of the map over `lag` samples.
-        step, run = np.divmod(np.arange(n_pairs), lag)
-        run_length = -(-n_pairs // lag) + 1
-        part = Bunch(
-            X=state[:n_pairs],
-            y=y[reach + lag :],
-            X_next=state[lag:],
-            groups=np.full(n_pairs, number),
-            sample_index=clock + run * run_length + step,
-        )
-        parts.append(part)
-        clock += lag * run_length
-    return Bunch(
-        **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    )
+
+def _embedded(
+    piece: Samples, offsets: Indices, embedding: str, outputs_in_state: bool
+) -> Array:
+    """Return the states of a piece with their past."""
+    state = embed(piece.states, offsets, embedding)
+    if not outputs_in_state:
+        return state
+    measured = piece.outputs.reshape(len(piece.outputs), -1)
+    return np.hstack([state, embed(measured, offsets, embedding)])
+
+
+def _feature_names(
+    names: list[str],
+    output_names: list[str],
+    offsets: Indices,
+    embedding: str,
+    outputs_in_state: bool,
+) -> list[str]:
+    """Name the columns of the embedded states."""
+    features = embedded_names(names, offsets, embedding)
+    if outputs_in_state:
+        appended = [f"output_{y}" if y in names else y for y in output_names]
+        features += embedded_names(appended, offsets, embedding)
+    return features
 
 
 def successor_rows(sample_index: Any) -> tuple[Indices, Indices]:
@@ -256,48 +482,6 @@ def match_successors(X: Any, y: Any) -> tuple[Indices, Indices] | None:
     return best
 
 
-def _as_trajectories(data: Any, name: str) -> list[Array]:
-    """Validate one trajectory or a list of them into a list of float arrays."""
-    if isinstance(data, np.ndarray) and data.dtype == object and data.ndim == 1:
-        data = list(data)  # of arrays of unequal length
-    if getattr(data, "ndim", 3) < 3:
-        data = [data]
-    is_list = hasattr(data, "__len__") and not isinstance(data, str | bytes | dict)
-    if not is_list or len(data) == 0:
-        raise ValueError(
-            f"{name} must be an array or a non-empty list of arrays, got a "
-            f"{type(data).__name__}."
-        )
-    arrays: list[Array] = []
-    for number, item in enumerate(data):
-        label = f"{name}[{number}]"
-        try:
-            array = check_array(
-                item, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan"
-            )
-        except (ValueError, TypeError) as error:
-            raise ValueError(f"{label}: {error}") from error
-        if array.ndim != 2 and (array.ndim != 1 or name != "outputs"):
-            raise ValueError(
-                f"{label} has shape {array.shape}, not (n_samples, n_features); pass "
-                "several trajectories as a list, a scalar one with .reshape(-1, 1)."
-            )
-        gaps = np.flatnonzero(np.isnan(array).reshape(len(array), -1).any(axis=1))
-        if len(gaps):
-            raise ValueError(
-                f"{label} holds NaN in {len(gaps)} of {len(array)} samples, first in "
-                f"sample {gaps[0]}; fill the gaps, or split the trajectory there."
-            )
-        arrays.append(array)
-        if array.shape[1:] != arrays[0].shape[1:]:
-            raise ValueError(
-                f"{label} has shape {array.shape}, but {name}[0] has "
-                f"{arrays[0].shape}; pass arrays with the same columns."
-            )
-        check_columns(item, label, data[0], f"{name}[0]")
-    return arrays
-
-
 class TrajectoryKFold(BaseCrossValidator):
     """K-fold cross-validation that keeps trajectories, or blocks of one, together.
 
@@ -307,9 +491,12 @@ class TrajectoryKFold(BaseCrossValidator):
 
     With `groups` given to :meth:`split` (one label a row, such as the `groups` of
     :func:`trajectory_pairs`), every fold leaves out whole trajectories, and the folds
-    have about equal numbers of samples. Without `groups`, the rows are taken as one
-    trajectory in the order of time: every fold leaves out one contiguous block, and
-    `gap` rows on both sides of the block are neither in its training nor its test set.
+    have about equal numbers of samples. Without `groups`, the level "trial" of the
+    index of X, else of y, takes their place, as it stands in the DataFrames of
+    :func:`trajectory_pairs`. Where there is no such level, or one trial only, the rows
+    are taken as one trajectory in the order of time: every fold leaves out one
+    contiguous block, and `gap` rows on both sides of the block are neither in its
+    training nor its test set.
 
     Parameters
     ----------
@@ -357,11 +544,12 @@ class TrajectoryKFold(BaseCrossValidator):
         Parameters
         ----------
         X : array-like of shape (n_samples, n_features)
-            The rows to split; only their number is used.
+            The rows to split; only their number and their index are used.
         y : array-like, default=None
-            Not used.
+            Outputs, whose index is used where X has none.
         groups : array-like of shape (n_samples,), default=None
-            The trajectory of each row. None takes all rows as one trajectory.
+            The trajectory of each row. None takes the level "trial" of the index, or
+            all rows as one trajectory.
 
         Yields
         ------
@@ -374,11 +562,14 @@ class TrajectoryKFold(BaseCrossValidator):
         ------
         ValueError
             If a parameter is outside its range; if there are fewer trajectories, or
-            rows, than folds; if `gap` leaves no training rows.
+            rows, than folds; if `gap` leaves no training rows; if `groups` are missing,
+            but the index shows several trajectories, one after the other.
         """
         # Checked when splitting, so that the constructor only stores.
         check_integer(self.n_splits, "n_splits", 2)
         check_integer(self.gap, "gap", 0)
+        if groups is None:
+            groups = _trials(X, y)
         if groups is not None:
             yield from GroupKFold(self.n_splits).split(X, y, groups)
             return
@@ -409,3 +600,27 @@ class TrajectoryKFold(BaseCrossValidator):
             The number of folds.
         """
         return self.n_splits
+
+
+def _trials(X: Any, y: Any) -> Array | None:
+    """Return the trial of each row by an index; None for one trajectory."""
+    trials = index_level("trial", X, y)
+    if trials is not None:
+        return trials if (trials != trials[0]).any() else None
+    indices = (getattr(data, "index", None) for data in (X, y))
+    index = next((i for i in indices if hasattr(i, "get_level_values")), None)
+    if index is None:
+        return None
+    if index.nlevels > 1:
+        shows_several = index.droplevel(-1).nunique() > 1
+    else:
+        is_clock = index.dtype.kind in "iufmM"
+        rises = index.is_monotonic_increasing and index.is_unique
+        shows_several = is_clock and not rises
+    if shows_several:
+        raise ValueError(
+            "the index restarts or repeats, as it does for several trajectories one "
+            "after the other; pass the trajectory of each row as groups=, or drop an "
+            "index that means nothing by reset_index(drop=True)."
+        )
+    return None

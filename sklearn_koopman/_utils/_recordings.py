@@ -1,0 +1,426 @@
+"""Recordings: their samples, clocks, gaps and names."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from sklearn.utils import check_array
+
+from ._clocks import HOLE, Clock, find_clocks, read_labels, resolve_rates
+from ._typing import Array, Indices, Mask
+from ._validation import check_choice, check_columns, check_number
+from ._warnings import warn
+
+TURNS = (360.0, 2 * np.pi)
+
+
+class Samples(NamedTuple):
+    """Consecutive samples, evenly spaced in time.
+
+    Attributes
+    ----------
+    states : ndarray of shape (n_samples, n_features)
+        The states.
+    outputs : ndarray of shape (n_samples,) or (n_samples, n_outputs)
+        The outputs.
+    frame : ndarray of shape (n_samples,)
+        The number of each sample in its recording, or its label in an integer index.
+    time : ndarray of shape (n_samples,)
+        In seconds if the rate is known, else in samples.
+    remaining : ndarray of shape (n_samples,)
+        The number of samples from each one to the end of its recording.
+    """
+
+    states: Array
+    outputs: Array
+    frame: Indices
+    time: Array
+    remaining: Indices
+
+    def take(self, piece: slice) -> Samples:
+        """Return some of the samples."""
+        x, y, frame, time, remaining = self
+        return Samples(x[piece], y[piece], frame[piece], time[piece], remaining[piece])
+
+
+class Recording(NamedTuple):
+    """All samples of a recording, and where they follow each other without a gap.
+
+    Attributes
+    ----------
+    samples : Samples
+        All of them, NaN where there is a gap.
+    pieces : list of slice
+        The stretches without a gap, in the order of time.
+    """
+
+    samples: Samples
+    pieces: list[slice]
+
+    def cut(self, rate: float | None, *, from_end: bool = False) -> list[Samples]:
+        """Return the pieces, resampled if there is a rate to resample them to.
+
+        Parameters
+        ----------
+        rate : float or None
+            The new rate in samples a second.
+        from_end : bool, default=False
+            Whether the new samples are counted back from the last sample of the
+            recording, instead of on from the first one of the piece.
+
+        Returns
+        -------
+        pieces : list of Samples
+            One a piece. Some may hold no samples if they are counted from the end.
+        """
+        cut = [self.samples.take(piece) for piece in self.pieces]
+        if rate is None:
+            return cut
+        first, last = self.samples.time[[0, -1]]
+        return [
+            _resample(piece, rate, first, last, last if from_end else piece.time[0])
+            for piece in cut
+        ]
+
+
+class Recordings(NamedTuple):
+    """Recordings with the same columns.
+
+    Attributes
+    ----------
+    recordings : list of Recording
+        One for each trajectory.
+    names : list of str
+        The names of the states.
+    output_names : list of str
+        The names of the outputs.
+    is_pandas : bool
+        Whether the states of one of them, at least, were a DataFrame of pandas.
+    """
+
+    recordings: list[Recording]
+    names: list[str]
+    output_names: list[str]
+    is_pandas: bool
+
+
+def read_recordings(
+    trajectories: Any,
+    outputs: Any,
+    *,
+    gaps: str,
+    rates: Any,
+    resample: Any,
+    name: str = "trajectories",
+) -> Recordings:
+    """Validate recordings, and find their clocks, gaps and wraps.
+
+    Parameters
+    ----------
+    trajectories : array-like, or list of them
+        The states of one recording or of several.
+    outputs : array-like, list of them or None
+        The outputs; None takes the states.
+    gaps : {"raise", "split"}
+        Whether a gap is an error.
+    rates : None, float or list of float
+        Samples a second, of all recordings or of each.
+    resample : float or None
+        The rate that the recordings will be resampled to.
+    name : str, default="trajectories"
+        The parameter that holds the states, for errors.
+
+    Returns
+    -------
+    recordings : Recordings
+        One for each trajectory.
+
+    Raises
+    ------
+    ValueError
+        If anything is wrong with the recordings. The message says what, and where.
+
+    Warns
+    -----
+    UserWarning
+        If angles wrap.
+    """
+    check_choice(gaps, "gaps", ("raise", "split"))
+    if resample is not None:
+        check_number(resample, "resample", positive=True)
+    items = _as_list(trajectories, name)
+    states = _as_arrays(items, name, gaps)
+    targets, measured = items, states
+    if outputs is not None:
+        targets = _as_list(outputs, "outputs")
+        measured = _as_arrays(targets, "outputs", gaps)
+    if len(states) != len(measured):
+        raise ValueError(
+            f"outputs holds {len(measured)} arrays for {len(states)} trajectories; "
+            "pass one array of outputs for every trajectory."
+        )
+    labels = []
+    for number, (x, y) in enumerate(zip(states, measured, strict=True)):
+        if len(x) != len(y):
+            raise ValueError(
+                f"trajectory {number} has {len(x)} samples but its outputs have "
+                f"{len(y)}; states and outputs must be sampled together."
+            )
+        labels.append(read_labels(items[number], targets[number], number))
+    clocks = find_clocks(labels, states, resample)
+    known = resolve_rates(rates, clocks, resample)
+
+    names = _column_names(items, states[0], "x")
+    output_names = names
+    if outputs is not None:
+        output_names = _column_names(targets, measured[0], "y")
+    recordings = []
+    wraps: list[tuple[str, str, float]] = []
+    for number, (x, y) in enumerate(zip(states, measured, strict=True)):
+        is_hole = clocks[number].steps > HOLE
+        if gaps == "raise" and is_hole.any():
+            first = int(is_hole.argmax())
+            before, after = clocks[number].labels[[first, first + 1]]
+            raise ValueError(
+                f"the index of trajectory {number} has a hole in {is_hole.sum()} "
+                f"places, first from {before:g} to {after:g}; pass gaps='split', fill "
+                "it by reindexing and kinematics.fill_gaps, or drop an index that does "
+                "not count frames or seconds by reset_index(drop=True)."
+            )
+        columns = y.reshape(len(y), -1)
+        is_there = np.asarray(np.isfinite(np.column_stack([x, columns])).all(axis=1))
+        is_link = is_there[1:] & is_there[:-1] & ~is_hole
+        sources = [(name, names, x)]
+        if outputs is not None:
+            sources.append(("outputs", output_names, columns))
+        for source, labelled, values in sources:
+            turns = find_wraps(values[:-1][is_link], values[1:][is_link])
+            if turns:
+                shown = ", ".join(labelled[column] for column in turns)
+                wraps.append((f"{source}[{number}]", shown, min(turns.values())))
+        samples = _samples(x, y, clocks[number], known[number])
+        recordings.append(Recording(samples, _pieces(is_there, is_link)))
+    if wraps:
+        label, shown, turn = wraps[0]
+        others = f" ({len(wraps) - 1} more arrays do)" if wraps[1:] else ""
+        period = "360" if turn == 360 else "2 * np.pi"
+        warn(
+            f"{label} jumps by almost a full turn in column {shown}{others}: these "
+            "angles wrap, and the jumps are no motion. Unwrap them by np.unwrap(..., "
+            f"axis=0, period={period})."
+        )
+    is_pandas = any(hasattr(item, "iloc") for item in items)
+    return Recordings(recordings, names, output_names, is_pandas)
+
+
+def _as_list(data: Any, name: str) -> list[Any]:
+    """Return one recording or several as a list; refuse arrays with three axes."""
+    if isinstance(data, np.ndarray) and data.dtype == object and data.ndim == 1:
+        data = list(data)  # of arrays of unequal length
+    shape = getattr(data, "shape", None)
+    if shape is not None:
+        _refuse_axes(shape, name)
+        data = [data]
+    is_list = hasattr(data, "__len__") and not isinstance(data, str | bytes | dict)
+    if not is_list or len(data) == 0:
+        raise ValueError(
+            f"{name} must be an array or a non-empty list of arrays, got a "
+            f"{type(data).__name__}."
+        )
+    return list(data)
+
+
+def _column_names(items: list[Any], first: Array, prefix: str) -> list[str]:
+    """Return the names of the columns of the first frame, else numbered ones.
+
+    Parameters
+    ----------
+    items : list of array-like
+        The recordings as they were given.
+    first : ndarray of shape (n_samples,) or (n_samples, n_columns)
+        The values of the first one.
+    prefix : str
+        What to put in front of the number of a column without a name.
+
+    Returns
+    -------
+    names : list of str
+        One a column. Parts of a name with several are joined by "_".
+    """
+    n_columns = first.shape[1] if first.ndim == 2 else 1
+    for item in items:
+        columns = getattr(item, "columns", None)
+        if first.ndim == 1 and getattr(item, "name", None):
+            columns = [item.name]  # of a Series
+        if columns is not None and list(columns) != list(range(n_columns)):
+            return [
+                "_".join(map(str, name)) if isinstance(name, tuple) else str(name)
+                for name in columns
+            ]
+    return [f"{prefix}{column}" for column in range(n_columns)]
+
+
+def find_wraps(rows: Array, following: Array) -> dict[int, float]:
+    """Find the columns that hold angles which wrap.
+
+    Such a column lies within one turn and steps now and then by nearly a turn, never by
+    about half of one. Counted around the circle, these steps are about as small as the
+    others, which distinguishes them from the jumps of a switch or of a sawtooth.
+
+    Parameters
+    ----------
+    rows : ndarray of shape (n_links, n_columns)
+        Samples.
+    following : ndarray of shape (n_links, n_columns)
+        The next sample after each of them.
+
+    Returns
+    -------
+    turns : dict of int to float
+        The full turn, 360 or 2 pi, of each column that wraps.
+    """
+    turns: dict[int, float] = {}
+    if not len(rows):
+        return turns
+    size = np.abs(following - rows)
+    high = np.maximum(rows.max(axis=0), following.max(axis=0))
+    extent = high - np.minimum(rows.min(axis=0), following.min(axis=0))
+    for turn in TURNS:
+        is_wrap, is_small = size >= 0.75 * turn, size <= 0.25 * turn
+        usual = np.where(is_small, size, 0.0).max(axis=0)
+        around = np.where(is_wrap, np.abs(turn - size), 0.0).max(axis=0)
+        wraps = is_wrap.any(axis=0) & (is_wrap | is_small).all(axis=0)
+        # Rounded angles may leave the turn a little.
+        wraps &= (extent <= 1.01 * turn) & (around <= 2 * usual)
+        turns |= dict.fromkeys(np.flatnonzero(wraps).tolist(), turn)
+    return turns
+
+
+def _refuse_axes(shape: tuple[int, ...], name: str) -> None:
+    """Refuse arrays with more than two axes."""
+    if len(shape) > 2:
+        raise ValueError(
+            f"{name} has shape {shape}, not (n_samples, n_features). Several "
+            "trajectories are a list of arrays with two axes: list(array). One "
+            "recording of shape (frames, markers, 3) becomes one by "
+            "array.reshape(len(array), -1), and the points of a c3d file, of shape (4, "
+            "markers, frames), by points[:3].transpose(2, 1, 0).reshape(n_frames, -1)."
+        )
+
+
+def _as_arrays(items: list[Any], name: str, gaps: str) -> list[Array]:
+    """Validate recordings into float arrays with NaN in their gaps."""
+    arrays: list[Array] = []
+    for number, item in enumerate(items):
+        label = f"{name}[{number}]"
+        _refuse_axes(getattr(item, "shape", ()), label)
+        try:
+            array, is_masked = _as_array(item)
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{label}: {error}") from error
+        if array.ndim != 2 and (array.ndim != 1 or name != "outputs"):
+            raise ValueError(
+                f"{label} has shape {array.shape}, not (n_samples, n_features); pass "
+                "several trajectories as a list, a scalar one with .reshape(-1, 1)."
+            )
+        empty = np.flatnonzero(np.isnan(array).reshape(len(array), -1).any(axis=1))
+        if len(empty) and gaps == "raise":
+            raise ValueError(
+                f"{label} holds {'masked values' if is_masked else 'NaN'} in "
+                f"{len(empty)} of {len(array)} samples, first in sample {empty[0]}; "
+                "fill the gaps by kinematics.fill_gaps, or pass gaps='split'."
+            )
+        arrays.append(array)
+        if array.shape[1:] != arrays[0].shape[1:]:
+            raise ValueError(
+                f"{label} has shape {array.shape}, but {name}[0] has "
+                f"{arrays[0].shape}; pass arrays with the same columns."
+            )
+        check_columns(item, label, items[0], f"{name}[0]")
+    return arrays
+
+
+def _as_array(item: Any) -> tuple[Array, bool]:
+    """Return an array of floats, NaN where values are masked, and whether any are."""
+    is_masked = False
+    with warnings.catch_warnings():
+        # A masked element among Python objects becomes NaN, as it should.
+        warnings.filterwarnings("ignore", message=".*converting a masked element")
+        if isinstance(item, list | tuple | np.ma.MaskedArray):
+            masked: Any = np.ma.array(item)  # keeps the masks of the rows of a list
+            is_masked = bool(np.ma.getmaskarray(masked).any())
+            item = (
+                masked.astype(np.float64).filled(np.nan) if is_masked else masked.data
+            )
+        array = check_array(
+            item, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan"
+        )
+    return array, is_masked
+
+
+def _samples(x: Array, y: Array, clock: Clock, rate: float | None) -> Samples:
+    """Number the samples of a recording, and time them."""
+    steps = np.maximum(np.rint(clock.steps), 1).astype(np.intp)
+    place = np.concatenate([[0], np.cumsum(steps)])
+    frame, time = np.arange(len(x)), place / (rate or 1.0)
+    if clock.labels is not None:
+        if clock.labels.dtype.kind == "i":
+            frame = clock.labels
+        else:
+            time = clock.labels
+    return Samples(x, y, frame, time, place[-1] - place)
+
+
+def _pieces(is_there: Mask, is_link: Mask) -> list[slice]:
+    """Return the longest stretches of samples that follow each other."""
+    is_start = is_there & ~np.concatenate([[False], is_link])
+    is_stop = is_there & ~np.concatenate([is_link, [False]])
+    starts, stops = np.flatnonzero(is_start), np.flatnonzero(is_stop) + 1
+    return [slice(*ends) for ends in zip(starts, stops, strict=True)]
+
+
+def _resample(
+    piece: Samples, rate: float, first: float, last: float, anchor: float
+) -> Samples:
+    """Interpolate a piece at all times within it that are whole periods from an anchor.
+
+    Parameters
+    ----------
+    piece : Samples
+        Consecutive samples, timed in seconds.
+    rate : float
+        The new rate in samples a second.
+    first, last : float
+        The times of the first and last sample of the recording.
+    anchor : float
+        The time of one new sample.
+
+    Returns
+    -------
+    resampled : Samples
+        The new samples.
+    """
+    start, stop = piece.time[[0, -1]]
+    # Times are sums of rounded numbers: a millionth of a period is no extrapolation.
+    numbers = np.arange(
+        np.ceil((start - anchor) * rate - 1e-6),
+        np.floor((stop - anchor) * rate + 1e-6) + 1,
+    )
+    time = np.clip(anchor + numbers / rate, start, stop)
+
+    def interpolate(values: Array) -> Array:
+        degree = min(3, len(values) - 1)
+        if not degree:
+            return values[: len(time)]
+        return make_interp_spline(piece.time - start, values, degree)(time - start)
+
+    return Samples(
+        interpolate(piece.states),
+        interpolate(piece.outputs),
+        np.rint((time - first) * rate).astype(np.intp),
+        time,
+        np.rint((last - time) * rate).astype(np.intp),
+    )
