@@ -328,7 +328,8 @@ default=None
         -----
         UserWarning
             If the scale of `X_next` plainly differs from that of `X`, as it does when a
-            scaler transforms `X` only.
+            scaler transforms `X` only; if the rows are one trajectory in their order,
+            and hold angles that wrap.
         LinAlgWarning
             If dependent centres were dropped, and that may matter.
 

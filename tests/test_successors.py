@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from sklearn.base import clone
-from sklearn.model_selection import GridSearchCV
+from sklearn.model_selection import GridSearchCV, cross_val_score
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
@@ -12,6 +12,8 @@ from sklearn_koopman import (
     KernelEDMD,
     SeparatedCenterSelector,
     TrajectoryKFold,
+    forecast,
+    make_forecast_scorer,
     trajectory_pairs,
 )
 from sklearn_koopman.datasets import make_pendulum
@@ -84,6 +86,37 @@ def test_a_lag_contradicts_the_order(frame, delays, column):
         match=r"row 0 is the state of row 10, but row 1 would .*=pairs\.sample_index",
     ):
         operator().fit(X, pairs.y[:, column])
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+def test_frames_of_trajectory_pairs_need_nothing_else(swings, scaled):
+    """Through the whole way: lag, several trials, folds, forecasts."""
+    frames = [pd.DataFrame(x, columns=["velocity", "angle"]) for x in swings]
+    pairs, plain = (trajectory_pairs(x, lag=4) for x in (frames, swings))
+    edmd = KernelEDMD("wendland_c4", beta=4.0, n_modes=0)
+    model = make_pipeline(StandardScaler(), edmd) if scaled else edmd
+    given = {"kerneledmd__" * scaled + "sample_index": plain.sample_index}
+    wanted = clone(model).fit(plain.X, plain.y, **given)
+    found = clone(model).fit(pairs.X, pairs.y)
+    np.testing.assert_allclose(
+        forecast(found, pairs.X[:5], 8), forecast(wanted, plain.X[:5], 8), atol=1e-9
+    )
+    scorer = make_forecast_scorer(8)
+    folds = TrajectoryKFold(5)
+    scores = cross_val_score(
+        model, pairs.X, pairs.y, groups=plain.groups, scoring=scorer, cv=folds
+    )
+    for (train, test), score in zip(
+        folds.split(plain.X, groups=plain.groups), scores, strict=True
+    ):
+        name = next(iter(given))
+        one = clone(model).fit(
+            plain.X[train], plain.y[train], **{name: plain.sample_index[train]}
+        )
+        index = plain.sample_index[test]
+        assert score == pytest.approx(
+            scorer(one, plain.X[test], plain.y[test], index), rel=1e-6
+        )
 
 
 # Several trials
@@ -240,6 +273,20 @@ def test_rows_that_nothing_contradicts_are_trusted(X, y):
     np.testing.assert_array_equal(model.koopman_matrix_, clock.koopman_matrix_)
     single = np.asarray(X, dtype=np.float32)
     KernelEDMD(centers=centers, **settings).fit(single, y)
+
+
+@pytest.mark.parametrize("turn", [360, 2 * np.pi])
+@pytest.mark.parametrize("frame", [False, True])
+def test_angles_of_a_recording_that_wrap_warn(turn, frame):
+    angle = np.cumsum(0.3 + 0.05 * np.sin(np.arange(120.0))) * turn / (2 * np.pi)
+    x = np.column_stack([np.sin(np.arange(120) / 9), angle % turn])
+    X = pd.DataFrame(x, columns=["a", "crank"]) if frame else x
+    column, period = "crank" if frame else "1", "360" if turn == 360 else r"2 \* np.pi"
+    with pytest.warns(UserWarning, match=rf"in column {column}: .* period={period}\)"):
+        KernelEDMD(n_modes=0, alpha=1e-3).fit(X)
+    # With a clock, as of trajectory_pairs, the angles have been looked at before.
+    KernelEDMD(n_modes=0, alpha=1e-3).fit(X, sample_index=range(120))
+    KernelEDMD(n_modes=0, alpha=1e-3).fit(np.unwrap(x, axis=0, period=turn))
 
 
 # Pipelines and cross-validation, without metadata routing

@@ -6,6 +6,7 @@ import numpy as np
 from sklearn.utils import check_array
 
 from .._utils._labels import REMEDY, order_of_labels
+from .._utils._recordings import find_wraps
 from .._utils._typing import Array, Indices, Mask
 from .._utils._validation import check_columns, check_magnitude
 from .._utils._warnings import warn
@@ -64,7 +65,8 @@ def find_successors(
     Warns
     -----
     UserWarning
-        If `X_next` appears to be on another scale than `X`.
+        If `X_next` appears to be on another scale than `X`; if the rows are a recording
+        with angles that wrap.
     """
     rows = following = np.arange(0)
     if X_next is None and sample_index is None:
@@ -112,6 +114,7 @@ def _follow_order(X: Array, given: Any, y: Any) -> tuple[Indices, Indices]:
         _check_outputs(X, given, y, links)
     if clock is None:
         _check_delays(X)
+    _warn_of_wraps(X, given, links)
     return links
 
 
@@ -159,6 +162,20 @@ def _check_delays(X: Array) -> None:
         f"Most rows hold copies of what the row {shift} before them holds, but row "
         f"{row + shift} does not: a recording ends before it. {REMEDY}"
     )
+
+
+def _warn_of_wraps(X: Array, given: Any, links: tuple[Indices, Indices]) -> None:
+    """Warn of angles that wrap, as trajectory_pairs does, which has not seen these."""
+    turns = find_wraps(X[links[0]], X[links[1]])
+    if turns:
+        names = list(getattr(given, "columns", range(X.shape[1])))
+        period = "360" if min(turns.values()) == 360 else "2 * np.pi"
+        warn(
+            "X jumps by almost a full turn in column "
+            f"{', '.join(str(names[column]) for column in turns)}: these angles wrap, "
+            "and the jumps are no motion. Unwrap them by np.unwrap(..., axis=0, "
+            f"period={period})."
+        )
 
 
 def _agree(
