@@ -459,8 +459,9 @@ def match_successors(X: Any, y: Any) -> tuple[Indices, Indices] | None:
     Returns
     -------
     rows, successors : ndarrays of shape (n_links,), or None
-        As of :func:`successor_rows`, for the columns that link most rows. None if no
-        columns link more than half of them, or if 1 % of the outputs occur repeatedly.
+        As of :func:`successor_rows`, for the columns that link to most rows. None if no
+        columns link to more than half of them, or if 1 % of the outputs occur
+        repeatedly.
     """
     states, outputs = np.asarray(X), np.asarray(y)
     if states.dtype.kind not in "iuf" or outputs.dtype.kind not in "iuf":
@@ -477,8 +478,11 @@ def match_successors(X: Any, y: Any) -> tuple[Indices, Indices] | None:
         first, group, _ = distinct_rows(np.vstack([columns, outputs]))
         occurrences = np.bincount(group[:n], minlength=len(first))[group[n:]]
         rows = np.flatnonzero(occurrences == 1)
-        if len(rows) > most and np.mean(occurrences > 1) < 0.01:
-            best, most = (rows, first[group[n:][rows]]), len(rows)
+        successors = first[group[n:][rows]]
+        # Outputs that are a state by chance may be the same one again and again.
+        n_states = len(np.unique(successors))
+        if n_states > most and np.mean(occurrences > 1) < 0.01:
+            best, most = (rows, successors), n_states
     return best
 
 

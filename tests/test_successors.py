@@ -256,6 +256,7 @@ TRUSTED = {
     "rounded to single precision": single(walk),
     "rounded to a tenth": (walk[:-1].round(1), walk[1:].round(1)),
     "a contact": (np.c_[walk[:, 0], walk > 0], 1.0 * (walk[:, 1] > -1)),
+    "the value of one state": (walk[:-1], np.full(89, walk[40, 1])),
     "outputs that are no states": (walk[:-1], np.sin(walk[1:, 0])),
     "outputs of its own row": (walk, walk[:, 0]),
     "more outputs than features": (walk[:-1], np.hstack([walk, walk])[1:]),
@@ -273,6 +274,8 @@ def test_rows_that_nothing_contradicts_are_trusted(X, y):
     np.testing.assert_array_equal(model.koopman_matrix_, clock.koopman_matrix_)
     single = np.asarray(X, dtype=np.float32)
     KernelEDMD(centers=centers, **settings).fit(single, y)
+    scaled = KernelEDMD(centers=SeparatedCenterSelector(0.5), **settings)
+    make_pipeline(StandardScaler(), scaled).fit(X, y)
 
 
 @pytest.mark.parametrize("turn", [360, 2 * np.pi])
