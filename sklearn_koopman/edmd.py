@@ -214,7 +214,8 @@ default=None
     With metadata routing enabled, `X_next` and `sample_index` are passed on by
     pipelines and searches without a call of `set_fit_request`. A scaler in front
     transforms `X_next` only if asked to: ``Pipeline(steps,
-    transform_input=["X_next"])``. `sample_index` needs no such care.
+    transform_input=["X_next"])``. `sample_index` needs no such care. Data frames of
+    :func:`trajectory_pairs` need neither parameter, nor metadata routing: see `fit`.
 
     References
     ----------
