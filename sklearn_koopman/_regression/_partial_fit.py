@@ -18,7 +18,7 @@ from .._matrices._polynomial import DEGREES
 from .._matrices._sections import KernelSections, Sections
 from .._utils._rows import AveragedOutputs, average_equal_rows
 from .._utils._typing import Array
-from ..centers import SeparatedCenterSelector
+from ..centers import SeparatedCenterSelector, resolve_separation
 from ..kernels import as_kernel
 from ..solvers import ConjugateGradient
 from ._estimate import Estimate, keep_averages
@@ -59,7 +59,7 @@ def check_can_grow(model: Any) -> bool:
     return True
 
 
-def check_batch(model: Any, system: DirectSystem, y: Array) -> None:
+def check_batch(model: Any, system: DirectSystem, y: Array, spread: float) -> None:
     """Refuse outputs and parameters that are not those of the first batch."""
     shape, known = model.dual_coef_.shape[1:], system.offered
     if y.shape[1:] != shape:
@@ -67,7 +67,7 @@ def check_batch(model: Any, system: DirectSystem, y: Array) -> None:
             f"y has shape {y.shape}, but earlier batches had outputs of shape {shape}; "
             "give the same outputs in every batch."
         )
-    kernel = as_kernel(model.kernel, model.beta, known.points.shape[1])
+    kernel = as_kernel(model.kernel, model.beta, known.points.shape[1], spread)
     same = kernel == known.kernel and DEGREES[model.trend] == system.degree
     if model.method == "interpolation" or model.centers is None:
         same = same and hasattr(model, "_averages")
@@ -87,6 +87,7 @@ def add_centers(
     model: Any,
     X: Array,
     y: Array,
+    spread: float,
 ) -> Estimate:
     """Return an interpolant with the rows of a batch that become centres.
 
@@ -107,6 +108,8 @@ def add_centers(
         The states of the batch.
     y : ndarray of shape (n_samples, n_outputs)
         Their outputs.
+    spread : float
+        How far the states of the first batch spread.
 
     Returns
     -------
@@ -127,7 +130,9 @@ def add_centers(
         exact = model.alpha == 0 and not fits
         chosen, averages = average_equal_rows(points, averages, exact, numbers)
     else:
-        selector = clone(model.centers).partial_fit(known.points).partial_fit(X)
+        selector = clone(model.centers)
+        selector.separation = resolve_separation(selector.separation, spread)
+        selector.partial_fit(known.points).partial_fit(X)
         chosen = selector.center_indices_
         averages = averages.take(chosen)
     sections = KernelSections(known.kernel, points[chosen])

@@ -1,10 +1,44 @@
-"""Equal rows: which they are, and the means of their outputs."""
+"""Rows: how far they spread, which are equal, and the means of their outputs."""
 
 from typing import NamedTuple, Self
 
 import numpy as np
 
 from ._typing import Array, Indices
+
+
+def spread(X: Array, sample_weight: Array | None = None) -> float:
+    """Measure how far rows spread, the scale that estimators take by default.
+
+    It is the root of the mean squared distance of the rows from their mean.
+
+    Parameters
+    ----------
+    X : ndarray of shape (n_samples, n_features)
+        The rows.
+    sample_weight : ndarray of shape (n_samples,), default=None
+        How often each row counts, at least one of them above 0. By default all once.
+
+    Returns
+    -------
+    spread : float
+        The square root of the sum of the variances of the columns; 1 if all rows that
+        count are equal.
+    """
+    if sample_weight is not None:
+        used = sample_weight > 0
+        X, sample_weight = X[used], sample_weight[used]
+    # Differences first, in units of the largest: then neither an offset nor a unit
+    # costs digits, and the variance of equal rows is exactly zero.
+    deviations = np.subtract(X, X[0], order="C")
+    unit = max(deviations.max(), -deviations.min())
+    if unit == 0:
+        return 1.0
+    deviations /= unit
+    deviations -= np.average(deviations, axis=0, weights=sample_weight)
+    deviations *= deviations
+    variances = np.average(deviations, axis=0, weights=sample_weight)
+    return float(unit * np.sqrt(variances.sum()))
 
 
 def distinct_rows(X: Array) -> tuple[Indices, Indices, Indices]:
