@@ -20,7 +20,7 @@ from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from ._selection import nearest_centers, select_centers
-from ._utils._rows import distinct_rows, spread
+from ._utils._rows import distinct_rows, spread, warn_without_spread
 from ._utils._typing import Array, Indices
 from ._utils._validation import (
     check_distances,
@@ -228,6 +228,11 @@ class SeparatedCenterSelector(
         ValueError
             As in `fit`, or if the features are not those of the calls before.
 
+        Warns
+        -----
+        UserWarning
+            If ``separation="scale"``, and all rows of the first batch are equal.
+
         Notes
         -----
         Parameters that were changed since the last batch apply to this batch and later
@@ -246,7 +251,11 @@ class SeparatedCenterSelector(
         >>> selector.labels_, selector.n_samples_seen_
         (array([1, 1, 2]), 5)
         """
-        return self._extend(X, vars(self))
+        is_first = not hasattr(self, "n_samples_seen_")
+        self._extend(X, vars(self))
+        if is_first:
+            warn_without_spread(self, self._spread)
+        return self
 
     def _extend(self, given: Any, fitted: Mapping[str, Any]) -> Self:
         """Select from a batch of samples, given the attributes after earlier ones."""

@@ -612,7 +612,8 @@ def as_kernel(
             names = ", ".join(f"kernel__{h.name}" for h in kernel.hyperparameters)
             raise ValueError(
                 f"beta={beta!r} scales the kernels of sklearn_koopman only; with "
-                f"kernel={kernel!r} set beta='scale' or None, and tune {names}."
+                f"kernel={kernel!r} set beta='scale' or beta=None, and tune "
+                f"{names}."
             )
         kernel.beta = beta
     for part in (kernel, *kernel.get_params().values()):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any, Self
 
 import numpy as np
@@ -39,6 +38,7 @@ from ._regression._partial_fit import (
     add_rows,
     check_batch,
     check_can_grow,
+    start_by_fit,
     start_least_squares,
 )
 from ._utils._rows import AveragedOutputs, average_equal_rows, spread
@@ -387,6 +387,8 @@ default="auto"
         -----
         LinAlgWarning
             If dependent centres were dropped, and that may matter.
+        UserWarning
+            If all rows of the first batch are equal, where its spread is needed.
 
         Notes
         -----
@@ -403,33 +405,29 @@ default="auto"
         """
         started = hasattr(self, "dual_coef_")
         if not started and self._interpolates_centers:
-            with warnings.catch_warnings():  # a first batch may be short
-                warnings.filterwarnings("ignore", "separation=.* leaves 1 centre")
-                return self.fit(X, y)
+            return start_by_fit(self, X, y)
         given = X
         if started:
             validate_data(self, given, reset=False, skip_check_array=True)
         X, y = self._check_data(X, y)
         self._check_parameters()
-        scale = getattr(self, "_spread", None) or spread(X)  # none of version 0.1
         if started:
-            check_batch(self, self._direct_system(), y, scale)
+            check_batch(self, self._direct_system(), y)
         outputs, growth = y.reshape(len(y), -1), getattr(self, "_growth", None)
         if self._interpolates_centers:
             system, averages = self._direct_system(), AveragedOutputs(*self._averages)
-            estimate = add_centers(
-                system, averages, self._n_rows, self, X, outputs, scale
-            )
+            estimate = add_centers(system, averages, self._n_rows, self, X, outputs)
         elif growth is not None:
             estimate = add_rows(growth, self.alpha, X, outputs)
         else:
+            scale = spread(X)
             sections, _, _ = self._resolve_centers(X, y, scale)
-            growth, estimate = start_least_squares(sections, self, X, outputs)
+            growth, estimate = start_least_squares(sections, self, X, outputs, scale)
         # Attributes are set last: a batch that fails is not counted.
         if not started:
             validate_data(self, given, y, skip_check_array=True)
+            self._spread = scale
         self._store(estimate, y.shape[1:])
-        self._spread = scale
         if growth is not None:
             self._growth = growth
         return self

@@ -465,12 +465,12 @@ default=None
 
     def _kernels(
         self, grid: dict[str, list[Any]], X: Array
-    ) -> tuple[list[tuple[float | None, Any]], list[Kernel]]:
+    ) -> tuple[list[tuple[Any, Any]], list[Kernel]]:
         """Return the scale and the given kernel of each candidate, and both in one."""
         scale = spread(X)
         if self.betas is None:
             multiples = [multiple * scale for multiple in MULTIPLES]
-            pairs = [
+            pairs: list[tuple[Any, Any]] = [
                 (beta, kernel)
                 for kernel in grid["kernel"]
                 for beta in (multiples if isinstance(kernel, str) else ["scale"])

@@ -1,10 +1,15 @@
 """Rows: how far they spread, which are equal, and the means of their outputs."""
 
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+from sklearn.utils import gen_batches
 
 from ._typing import Array, Indices
+from ._warnings import warn
+
+# Rows that are compared with their mean at a time, so that no copy of all is made.
+CHUNK_ROWS = 2**12
 
 
 def spread(X: Array, sample_weight: Array | None = None) -> float:
@@ -25,20 +30,60 @@ def spread(X: Array, sample_weight: Array | None = None) -> float:
         The square root of the sum of the variances of the columns; 1 if all rows that
         count are equal.
     """
-    if sample_weight is not None:
-        used = sample_weight > 0
-        X, sample_weight = X[used], sample_weight[used]
-    # Differences first, in units of the largest: then neither an offset nor a unit
-    # costs digits, and the variance of equal rows is exactly zero.
-    deviations = np.subtract(X, X[0], order="C")
-    unit = max(deviations.max(), -deviations.min())
+    weights = np.ones(len(X)) if sample_weight is None else sample_weight
+    counted = np.flatnonzero(weights > 0)
+    weights = weights[counted, np.newaxis]
+    chunks = list(gen_batches(len(counted), CHUNK_ROWS))
+    # Differences from one of the rows, in units of the largest: then neither an offset
+    # nor a unit costs digits, and the variance of equal rows is exactly zero.
+    origin, unit = X[counted[0]], 1.0
+
+    def deviations(rows: slice) -> Array:
+        return np.subtract(X[counted[rows]], origin, order="C") / unit
+
+    unit = max(float(np.abs(deviations(rows)).max()) for rows in chunks)
     if unit == 0:
         return 1.0
-    deviations /= unit
-    deviations -= np.average(deviations, axis=0, weights=sample_weight)
-    deviations *= deviations
-    variances = np.average(deviations, axis=0, weights=sample_weight)
-    return float(unit * np.sqrt(variances.sum()))
+
+    def average(power: int, center: Array) -> Array:
+        sums = [
+            (weights[rows] * (deviations(rows) - center) ** power).sum(axis=0)
+            for rows in chunks
+        ]
+        return np.asarray(np.sum(sums, axis=0) / weights.sum())
+
+    variances = average(2, average(1, np.zeros_like(origin)))
+    return unit * float(np.sqrt(variances.sum()))
+
+
+def warn_without_spread(estimator: Any, spread: float) -> None:
+    """Warn that the first of several batches had no spread, which later ones need.
+
+    Parameters
+    ----------
+    estimator : estimator instance
+        What learns from the batches.
+    spread : float
+        The spread of the first batch; 1 where there is none.
+
+    Warns
+    -----
+    UserWarning
+        If a parameter stands for the spread.
+    """
+    if spread != 1:
+        return
+    given = estimator.get_params()
+    names = ["separation", "centers__separation"]
+    if isinstance(given.get("kernel"), str):
+        names.append("beta")
+    used = [f"{name}='scale'" for name in names if isinstance(given.get(name), str)]
+    if used:
+        warn(
+            f"All rows of the first batch are equal, so that {' and '.join(used)} "
+            "takes 1 for the spread of the states; begin with more rows, or set a "
+            "number in the unit of the states."
+        )
 
 
 def distinct_rows(X: Array) -> tuple[Indices, Indices, Indices]:
