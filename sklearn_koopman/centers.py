@@ -194,11 +194,12 @@ class SeparatedCenterSelector(
         self._extend(X, {})
         alone = len(self.cluster_centers_) == 1 and self.max_centers != 1
         if alone and self.fill_distance_ > 0:
+            scale = spread(self._check_states(X))
             warn(
                 f"separation={self.separation_:.3g} leaves 1 centre of "
-                f"{self.n_samples_seen_} samples, whose spread is {self._spread:.3g}; "
-                "set separation='scale', which is "
-                f"{resolve_separation('scale', self._spread):.3g} here."
+                f"{self.n_samples_seen_} samples, whose spread is {scale:.3g}; set "
+                "separation='scale', which is "
+                f"{resolve_separation('scale', scale):.3g} here."
             )
         return self
 
@@ -253,7 +254,7 @@ class SeparatedCenterSelector(
         """
         is_first = not hasattr(self, "n_samples_seen_")
         self._extend(X, vars(self))
-        if is_first:
+        if is_first and self._spread is not None:
             warn_without_spread(self, self._spread)
         return self
 
@@ -264,9 +265,10 @@ class SeparatedCenterSelector(
         checker = clone(self) if is_first else self
         X = validate_data(checker, given, reset=is_first, dtype=np.float64, order="C")
         check_parameters(self, order=ORDERS)
-        # Of the first batch; a selector pickled by version 0.1 has none.
-        first_spread = fitted.get("_spread") or spread(X)
-        separation = resolve_separation(self.separation, first_spread)
+        scale = fitted.get("_spread")  # of the first batch that needs it
+        if scale is None and isinstance(self.separation, str):
+            scale = spread(X)
+        separation = resolve_separation(self.separation, scale)
         if self.max_centers is not None:
             check_integer(self.max_centers, "max_centers", 1)
         known = fitted.get("cluster_centers_", np.empty((0, X.shape[1])))
@@ -274,7 +276,7 @@ class SeparatedCenterSelector(
         rows, self.labels_, gap, fill, self._trees = select_centers(
             X, separation, self.order, self.max_centers, known, trees
         )
-        self.separation_, self._spread = separation, first_spread
+        self.separation_, self._spread = separation, scale
         if is_first:
             validate_data(self, given, skip_check_array=True)
         n_seen = fitted.get("n_samples_seen_", 0)
@@ -345,15 +347,15 @@ class SeparatedCenterSelector(
         return len(self.cluster_centers_)
 
 
-def resolve_separation(separation: Any, spread: float) -> float:
+def resolve_separation(separation: Any, spread: float | None) -> float:
     """Return the number that the parameter `separation` stands for.
 
     Parameters
     ----------
     separation : float or "scale"
         The parameter.
-    spread : float
-        How far the states spread.
+    spread : float or None
+        How far the states spread; only "scale" needs it.
 
     Returns
     -------
@@ -371,6 +373,7 @@ def resolve_separation(separation: Any, spread: float) -> float:
                 "separation must be a finite non-negative number or 'scale', got "
                 f"{separation!r}."
             )
+        assert spread is not None
         return SEPARATION_PER_SPREAD * spread
     check_number(separation, "separation")
     return float(separation)

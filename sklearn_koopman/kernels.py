@@ -612,8 +612,7 @@ def as_kernel(
             names = ", ".join(f"kernel__{h.name}" for h in kernel.hyperparameters)
             raise ValueError(
                 f"beta={beta!r} scales the kernels of sklearn_koopman only; with "
-                f"kernel={kernel!r} set beta='scale' or beta=None, and tune "
-                f"{names}."
+                f"kernel={kernel!r} set beta='scale' or beta=None and tune {names}."
             )
         kernel.beta = beta
     for part in (kernel, *kernel.get_params().values()):

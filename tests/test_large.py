@@ -122,7 +122,7 @@ def test_scikit_learn_check_of_interpolation(estimator, check):
 @parametrize_with_checks(
     [
         KoopmanKernelRegressor(
-            centers=SeparatedCenterSelector(1.0),
+            centers=SeparatedCenterSelector(0.5),
             method="least_squares",
             solver=ConjugateGradient(),
             trend="constant",

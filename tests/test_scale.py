@@ -2,12 +2,15 @@
 
 import pickle
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
+from sklearn.exceptions import InconsistentVersionWarning
+from sklearn.frozen import FrozenEstimator
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 from sklearn.model_selection import GridSearchCV, KFold
 from sklearn.pipeline import make_pipeline
@@ -76,6 +79,11 @@ def test_weights_of_the_spread_count_rows():
 def test_equal_rows_have_the_spread_one(row):
     assert spread(np.array([row])) == 1.0
     assert spread(np.array([row] * 7)) == 1.0
+
+
+def test_spread_of_the_largest_numbers_is_a_number():
+    X = np.array([[-1.5e308], [1.5e308]])
+    assert spread(X) == 1.5e308
 
 
 def test_spread_keeps_its_digits_beside_an_offset_and_in_any_unit():
@@ -334,6 +342,29 @@ def test_grid_searches_take_numbers_and_scale_side_by_side(pendulum):
     assert (np.diff(study.n_centers) > 0).all()
 
 
+def test_displays_draw_the_separation_used(pendulum):
+    pytest.importorskip("matplotlib").use("Agg")
+    from matplotlib import pyplot as plt
+
+    from sklearn_koopman.plotting import CenterSelectionDisplay
+
+    X, y = pendulum.X, pendulum.y
+    selector = SeparatedCenterSelector()
+    frozen = FrozenEstimator(SeparatedCenterSelector().fit(2 * X))
+    options = {"method": "least_squares", "alpha": 1e-3}
+    for model, states in (
+        (selector, X),
+        (KoopmanKernelRegressor(centers=selector), X),
+        (KernelEDMD(centers=selector, n_modes=0), X[:-1]),
+        (KoopmanKernelRegressorCV(centers=selector, cv=3), X),
+        (KoopmanKernelRegressor(centers=frozen, **options), 2 * X),
+    ):
+        display = CenterSelectionDisplay.from_estimator(model.fit(X, y), X)
+        assert_allclose(display.separation, 0.1 * spread(states))
+        assert display.circles_ is not None
+        plt.close(display.figure_)
+
+
 # --- Batches --------------------------------------------------------------------------
 
 
@@ -345,7 +376,7 @@ def test_batches_of_a_selector_keep_the_first_separation(pendulum):
         assert selector.separation_ == 0.1 * spread(X[:60])
     same = SeparatedCenterSelector(selector.separation_).fit(X)
     assert_array_equal(selector.center_indices_, same.center_indices_)
-    # A number and back: the scale is still that of the first batch.
+    # A number and back: the scale is still that of the first batch that needed it.
     selector.set_params(separation=0.01).partial_fit(X)
     assert selector.separation_ == 0.01
     selector.set_params(separation="scale").partial_fit(X)
@@ -472,6 +503,27 @@ def test_defaults_are_words_and_stay_as_given(pendulum):
     for shown in (repr(model), model._repr_html_()):
         assert "KoopmanKernelRegressor" in shown
     assert "beta" in repr(model.set_params(beta=2.0))
+
+
+def test_models_of_the_first_version_go_on():
+    """Their parameters are numbers or None, and they hold no scale."""
+    folder = Path(__file__).parent / "fixtures" / "0.1.0"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", InconsistentVersionWarning)
+        selector = pickle.loads((folder / "selector.pkl").read_bytes())
+        model = pickle.loads((folder / "regressor.pkl").read_bytes())
+    assert isinstance(selector.separation, float)
+    before = selector.cluster_centers_
+    X = np.vstack([before, before + 100.0])
+    selector.set_params(separation="scale").partial_fit(X)
+    assert selector.separation_ == 0.1 * spread(X)
+    assert_array_equal(selector.cluster_centers_[: len(before)], before)
+    assert not isinstance(model.beta, str)
+    y = np.ones((1, *model.dual_coef_.shape[1:]))
+    M = len(model.dual_coef_)
+    model.partial_fit(model.centers_.max(axis=0, keepdims=True) + 1.0, y)
+    assert len(model.dual_coef_) == M + 1
+    clone(model).fit(before, np.arange(float(len(before))))
 
 
 def test_frames_and_arrays_give_the_same_bits(pendulum):

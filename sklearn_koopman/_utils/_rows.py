@@ -30,30 +30,36 @@ def spread(X: Array, sample_weight: Array | None = None) -> float:
         The square root of the sum of the variances of the columns; 1 if all rows that
         count are equal.
     """
-    weights = np.ones(len(X)) if sample_weight is None else sample_weight
-    counted = np.flatnonzero(weights > 0)
-    weights = weights[counted, np.newaxis]
-    chunks = list(gen_batches(len(counted), CHUNK_ROWS))
-    # Differences from one of the rows, in units of the largest: then neither an offset
-    # nor a unit costs digits, and the variance of equal rows is exactly zero.
-    origin, unit = X[counted[0]], 1.0
-
-    def deviations(rows: slice) -> Array:
-        return np.subtract(X[counted[rows]], origin, order="C") / unit
-
-    unit = max(float(np.abs(deviations(rows)).max()) for rows in chunks)
+    if sample_weight is not None:
+        X, sample_weight = X[sample_weight > 0], sample_weight[sample_weight > 0]
+    # Differences from the least values, in units of the largest difference: then
+    # neither an offset nor a unit costs digits, and equal rows have exactly none.
+    least = X.min(axis=0)
+    with np.errstate(over="ignore"):
+        unit = float((X.max(axis=0) - least).max())
     if unit == 0:
         return 1.0
+    if unit == np.inf:
+        return 2 * spread(X / 2, sample_weight)
+    weights = np.ones(len(X)) if sample_weight is None else sample_weight
+    chunks = list(gen_batches(len(X), CHUNK_ROWS))
 
-    def average(power: int, center: Array) -> Array:
-        sums = [
-            (weights[rows] * (deviations(rows) - center) ** power).sum(axis=0)
-            for rows in chunks
-        ]
-        return np.asarray(np.sum(sums, axis=0) / weights.sum())
+    def deviations(rows: slice, center: Any) -> Array:
+        difference = np.subtract(X[rows], least, order="C")
+        difference /= unit
+        difference -= center
+        return difference
 
-    variances = average(2, average(1, np.zeros_like(origin)))
-    return unit * float(np.sqrt(variances.sum()))
+    total = weights.sum()
+    moments = [
+        np.einsum("i,ij->j", weights[rows], deviations(rows, 0.0)) for rows in chunks
+    ]
+    mean = np.sum(moments, axis=0) / total
+    squares = 0.0
+    for rows in chunks:
+        difference = deviations(rows, mean)
+        squares += np.einsum("i,ij,ij->", weights[rows], difference, difference)
+    return unit * float(np.sqrt(squares / total))
 
 
 def warn_without_spread(estimator: Any, spread: float) -> None:

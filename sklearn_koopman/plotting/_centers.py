@@ -244,4 +244,4 @@ def _used_separation(final: Any) -> float | None:
         return None
     # A model clones its selector, unless that is frozen, and fits it to its own states.
     fitted = centers if isinstance(centers, FrozenEstimator) else final
-    return resolve_separation(separation, getattr(fitted, "_spread", 1.0))
+    return resolve_separation(separation, getattr(fitted, "_spread", None))
