@@ -78,9 +78,14 @@ OURS = {
     "method": ["least_squares"],
 }
 MODELS = {
+    "interpolation, defaults": (koopman, {"separation": ["scale"]}),
     "interpolation": (
         koopman,
         {**OURS, "method": ["interpolation"], "alpha": [0.0], "separation": [0.1, 0.2]},
+    ),
+    "least squares, defaults": (
+        koopman,
+        {"alpha": [1e-3], "separation": ["scale"], "method": ["least_squares"]},
     ),
     "least squares": (koopman, OURS),
     "least squares, linear trend": (koopman, {**OURS, "trend": ["linear"]}),

@@ -20,19 +20,24 @@ from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from ._selection import nearest_centers, select_centers
-from ._utils._rows import distinct_rows
+from ._utils._rows import distinct_rows, spread, warn_without_spread
 from ._utils._typing import Array, Indices
 from ._utils._validation import (
     check_distances,
     check_integer,
     check_magnitude,
+    check_number,
     check_parameters,
     refuse_masked,
 )
+from ._utils._warnings import warn
 
 __all__ = ["SeparatedCenterSelector"]
 
 ORDERS = ("sequential", "farthest")
+# The default separation in units of the spread. A closed curve of one loop gets some
+# 40 centres, walking with delays some hundreds.
+SEPARATION_PER_SPREAD = 0.1
 
 
 def _selects_in_batches(selector: Any) -> bool:
@@ -60,9 +65,13 @@ class SeparatedCenterSelector(
 
     Parameters
     ----------
-    separation : float, default=1.0
+    separation : float or "scale", default="scale"
         The distance eta of [1]_, in the unit of the states: any two centres are farther
-        apart. With 0 every distinct sample is a centre.
+        apart. With 0 every distinct sample is a centre. "scale" is 0.1 times the
+        spread of the states: the square root of the sum of the variances of the
+        columns of `X`, which is their root mean square distance from their mean. The
+        centres are then the same in every unit of the states. `partial_fit` takes the
+        spread of the first batch for all later ones.
     order : {"sequential", "farthest"}, default="sequential"
         The order in which samples become centres.
 
@@ -83,6 +92,8 @@ class SeparatedCenterSelector(
         After `partial_fit`, rows are counted through all batches.
     cluster_centers_ : ndarray of shape (n_centers, n_features)
         The centres.
+    separation_ : float
+        The separation used, in the unit of the states.
     labels_ : ndarray of shape (n_samples,)
         The number of the nearest centre of each sample, one of them if several are
         equally near. After `partial_fit`, for the samples of the last batch.
@@ -146,7 +157,7 @@ class SeparatedCenterSelector(
 
     def __init__(
         self,
-        separation: float = 1.0,
+        separation: float | str = "scale",
         *,
         order: str = "sequential",
         max_centers: int | None = None,
@@ -175,8 +186,23 @@ class SeparatedCenterSelector(
         ValueError
             If a parameter is outside its range, if `X` is no finite 2-D array, or if
             its values are too large or too small to be squared.
+
+        Warns
+        -----
+        UserWarning
+            If the separation leaves one centre of samples that differ.
         """
-        return self._extend(X, {})
+        self._extend(X, {})
+        alone = len(self.cluster_centers_) == 1 and self.max_centers != 1
+        if alone and self.fill_distance_ > 0:
+            scale = spread(self._check_states(X))
+            warn(
+                f"separation={self.separation_:.3g} leaves 1 centre of "
+                f"{self.n_samples_seen_} samples, whose spread is {scale:.3g}; set "
+                "separation='scale', which is "
+                f"{resolve_separation('scale', scale):.3g} here."
+            )
+        return self
 
     @available_if(_selects_in_batches)
     def partial_fit(self, X: Any, y: Any = None) -> Self:
@@ -204,10 +230,17 @@ class SeparatedCenterSelector(
         ValueError
             As in `fit`, or if the features are not those of the calls before.
 
+        Warns
+        -----
+        UserWarning
+            If ``separation="scale"``, and all rows of the first batch are equal.
+
         Notes
         -----
         Parameters that were changed since the last batch apply to this batch and later
-        ones. Centres that were selected before remain.
+        ones. Centres that were selected before remain. With ``separation="scale"`` the
+        first batch should spread as all states will: its spread counts, and the
+        centres are those of one `fit` with ``separation=separation_``.
 
         Examples
         --------
@@ -220,7 +253,11 @@ class SeparatedCenterSelector(
         >>> selector.labels_, selector.n_samples_seen_
         (array([1, 1, 2]), 5)
         """
-        return self._extend(X, vars(self))
+        is_first = not hasattr(self, "n_samples_seen_")
+        self._extend(X, vars(self))
+        if is_first and self._spread is not None:
+            warn_without_spread(self, self._spread)
+        return self
 
     def _extend(self, given: Any, fitted: Mapping[str, Any]) -> Self:
         """Select from a batch of samples, given the attributes after earlier ones."""
@@ -229,14 +266,19 @@ class SeparatedCenterSelector(
         # Attributes are set last: a fit that fails leaves the selector as it was.
         checker = clone(self) if is_first else self
         X = validate_data(checker, given, reset=is_first, dtype=np.float64, order="C")
-        check_parameters(self, non_negative=["separation"], order=ORDERS)
+        check_parameters(self, order=ORDERS)
+        scale = fitted.get("_spread")  # of the first batch that needs it
+        if scale is None and isinstance(self.separation, str):
+            scale = spread(X)
+        separation = resolve_separation(self.separation, scale)
         if self.max_centers is not None:
             check_integer(self.max_centers, "max_centers", 1)
         known = fitted.get("cluster_centers_", np.empty((0, X.shape[1])))
         trees = fitted.get("_trees", [])  # absent from a pickle
         rows, self.labels_, gap, fill, self._trees = select_centers(
-            X, float(self.separation), self.order, self.max_centers, known, trees
+            X, separation, self.order, self.max_centers, known, trees
         )
+        self.separation_, self._spread = separation, scale
         if is_first:
             validate_data(self, given, skip_check_array=True)
         n_seen = fitted.get("n_samples_seen_", 0)
@@ -306,6 +348,38 @@ class SeparatedCenterSelector(
     @property
     def _n_features_out(self) -> int:
         return len(self.cluster_centers_)
+
+
+def resolve_separation(separation: Any, spread: float | None) -> float:
+    """Return the number that the parameter `separation` stands for.
+
+    Parameters
+    ----------
+    separation : float or "scale"
+        The parameter.
+    spread : float or None
+        How far the states spread; only "scale" needs it.
+
+    Returns
+    -------
+    separation : float
+        The separation in the unit of the states.
+
+    Raises
+    ------
+    ValueError
+        If it is neither "scale" nor a non-negative number.
+    """
+    if isinstance(separation, str):
+        if separation != "scale":
+            raise ValueError(
+                "separation must be a finite non-negative number or 'scale', got "
+                f"{separation!r}."
+            )
+        assert spread is not None
+        return SEPARATION_PER_SPREAD * spread
+    check_number(separation, "separation")
+    return float(separation)
 
 
 def choose_centers(

@@ -25,7 +25,7 @@ from ._matrices._polynomial import DEGREES
 from ._matrices._sections import KernelExpansion, KernelSections
 from ._utils._frames import index_level
 from ._utils._pipeline import find_operator, transformed
-from ._utils._rows import distinct_rows, group_means
+from ._utils._rows import distinct_rows, group_means, spread
 from ._utils._storage import StoresCentersOnce
 from ._utils._typing import Array, Complex, Indices, Mask
 from ._utils._validation import (
@@ -87,9 +87,12 @@ class KernelEDMD(StoresCentersOnce, MultiOutputMixin, RegressorMixin, BaseEstima
     ----------
     kernel : str or Kernel, default="matern32"
         As for :class:`KoopmanKernelRegressor`.
-    beta : float, default=None
-        Scale of the kernel in the unit of the states. None keeps the scale of a kernel
-        object, and means 1 for a name.
+    beta : float, "scale" or None, default="scale"
+        Scale of the kernel in the unit of the states. A kernel object keeps its own
+        scale unless a number is given. For a name, "scale" means the spread of the
+        states that have a successor: the square root of the sum of the variances of
+        the columns of `X`. Forecasts of outputs are then the same in every unit of the
+        states. None means 1 for a name.
     centers : None, array-like of shape (n_centers, n_features) or estimator, \
 default=None
         Where the kernel sections are centred, among the rows that have a successor: at
@@ -268,7 +271,7 @@ default=None
         self,
         kernel: Any = "matern32",
         *,
-        beta: float | None = None,
+        beta: float | str | None = "scale",
         centers: Any = None,
         method: str = "interpolation",
         alpha: float = 0.0,
@@ -369,10 +372,10 @@ default=None
         targets = X_next if y is None else np.hstack([outputs[here], X_next])
         # Outputs of states without a successor: least squares has a use for them.
         more = y is not None and self.method == "least_squares" and len(here) < len(X)
+        scale = spread(X[here])
+        every_row = self.centers is None and not more
         try:
-            found = self._estimate(
-                X[here], X_next, targets, every_row=self.centers is None and not more
-            )
+            found = self._estimate(X[here], X_next, targets, scale, every_row=every_row)
         except ValueError as error:
             if len(here) == len(X) or "row" not in str(error):
                 raise
@@ -404,6 +407,7 @@ default=None
         self.rcond_ = rcond
         self.rank_ = len(matrix)
         self._consecutive = consecutive
+        self._spread = scale
         self._output_shape = (X if y is None else y).shape[1:]
         degrees = max(len(system.kept) - system.trend_rank, 1)
         signal_std = found.fit.seminorm / np.sqrt(degrees)
@@ -650,10 +654,10 @@ default=None
             check_integer(self.n_modes, "n_modes", 0)
 
     def _estimate(
-        self, X: Array, X_next: Array, targets: Array, *, every_row: bool
+        self, X: Array, X_next: Array, targets: Array, scale: float, *, every_row: bool
     ) -> _Operator:
         """Estimate the operator, and the targets one step ahead, from pairs."""
-        kernel = as_kernel(self.kernel, self.beta, X.shape[1])
+        kernel = as_kernel(self.kernel, self.beta, X.shape[1], scale)
         degree = DEGREES[self.trend]
         # The operator is a dense matrix, and needs a dense factor.
         solver = "pivoted_cholesky" if self.solver == "auto" else self.solver

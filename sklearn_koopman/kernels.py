@@ -553,18 +553,26 @@ KERNELS: dict[str, Callable[..., RadialKernel]] = {
 """The kernels that estimators accept by name; each takes `beta`, by default 1."""
 
 
-def as_kernel(kernel: Any, beta: float | None, n_features: int | None) -> Kernel:
+def as_kernel(
+    kernel: Any,
+    beta: float | str | None,
+    n_features: int | None,
+    spread: float | None = None,
+) -> Kernel:
     """Return a new kernel object for the parameters `kernel` and `beta`.
 
     Parameters
     ----------
     kernel : str or Kernel
         A name in :data:`KERNELS`, or any kernel of scikit-learn's kind.
-    beta : float or None
-        Replaces the scale of a kernel of this module; None leaves it.
+    beta : float, "scale" or None
+        Replaces the scale of a kernel of this module; None leaves it. "scale" stands
+        for `spread` where the kernel is given by name, and else for None.
     n_features : int or None
         Dimension for the Wendland kernels that leave theirs open; None where only
         distances are known, which means 3.
+    spread : float, default=None
+        How far the states spread; None where they are not known.
 
     Returns
     -------
@@ -575,9 +583,10 @@ def as_kernel(kernel: Any, beta: float | None, n_features: int | None) -> Kernel
     ------
     ValueError
         If `kernel` is no kernel, `beta` is no positive number, or `beta` is given for a
-        kernel of another module.
+        kernel of another module; if `beta` stands for a spread that is not known.
     """
-    if isinstance(kernel, str) and kernel in KERNELS:
+    is_named = isinstance(kernel, str) and kernel in KERNELS
+    if is_named:
         kernel = KERNELS[kernel]()
     elif isinstance(kernel, Kernel):
         kernel = clone(kernel)
@@ -586,12 +595,24 @@ def as_kernel(kernel: Any, beta: float | None, n_features: int | None) -> Kernel
             f"kernel must be one of {', '.join(KERNELS)}, or a kernel object of this "
             f"package or of sklearn.gaussian_process.kernels, got {kernel!r}."
         )
+    if isinstance(beta, str):
+        if beta != "scale":
+            raise ValueError(
+                f"beta must be a finite positive number, 'scale' or None, got {beta!r}."
+            )
+        if is_named and spread is None:
+            raise ValueError(
+                "beta='scale' is the spread of the states, which are not known here; "
+                "set beta to a number in their unit, such as the square root of the "
+                "sum of the variances of the features."
+            )
+        beta = spread if is_named else None
     if beta is not None:
         if not isinstance(kernel, RadialKernel):
             names = ", ".join(f"kernel__{h.name}" for h in kernel.hyperparameters)
             raise ValueError(
                 f"beta={beta!r} scales the kernels of sklearn_koopman only; with "
-                f"kernel={kernel!r} set beta=None and tune {names}."
+                f"kernel={kernel!r} set beta='scale' or beta=None and tune {names}."
             )
         kernel.beta = beta
     for part in (kernel, *kernel.get_params().values()):

@@ -38,9 +38,10 @@ from ._regression._partial_fit import (
     add_rows,
     check_batch,
     check_can_grow,
+    start_by_fit,
     start_least_squares,
 )
-from ._utils._rows import AveragedOutputs, average_equal_rows
+from ._utils._rows import AveragedOutputs, average_equal_rows, spread
 from ._utils._storage import StoresCentersOnce
 from ._utils._typing import Array, Indices
 from ._utils._validation import (
@@ -87,9 +88,13 @@ class KoopmanKernelRegressor(
         kernel object of :mod:`sklearn_koopman.kernels` or
         :mod:`sklearn.gaussian_process.kernels`, whose parameters can be tuned as
         ``kernel__beta`` and the like.
-    beta : float, default=None
+    beta : float, "scale" or None, default="scale"
         Scale of the kernel in the unit of the states: k(x, c) = phi(||x - c|| / beta).
-        None keeps the scale of a kernel object, and means 1 for a name.
+        A kernel object keeps its own scale unless a number is given. For a name,
+        "scale" means the spread of the states: the square root of the sum of the
+        variances of the columns of `X`, which is their root mean square distance from
+        their mean. Predictions are then the same in every unit of the states. None
+        means 1 for a name. With ``centers="precomputed"`` a name needs a number.
     centers : None, array-like of shape (n_centers, n_features), estimator or \
 "precomputed", default=None
         Where the kernel sections are centred.
@@ -261,7 +266,7 @@ default="auto"
         self,
         kernel: Any = "matern32",
         *,
-        beta: float | None = None,
+        beta: float | str | None = "scale",
         centers: Any = None,
         method: str = "interpolation",
         alpha: float = 0.0,
@@ -315,7 +320,8 @@ default="auto"
         given = X
         X, y = self._check_data(X, y)
         self._check_parameters()
-        sections, rows, averages = self._resolve_centers(X, y)
+        scale = None if self._is_precomputed else spread(X)
+        sections, rows, averages = self._resolve_centers(X, y, scale)
         outputs, degree = y.reshape(len(y), -1), DEGREES[self.trend]
         if averages is not None:
             nugget = self.alpha / averages.counts
@@ -341,6 +347,7 @@ default="auto"
         kept = None if rows is None else rows[system.kept]
         estimate = Estimate(system, fit, kept, averages, len(X))
         self._store(estimate, y.shape[1:])
+        self._spread = scale
         return self
 
     @available_if(check_can_grow)
@@ -381,12 +388,16 @@ default="auto"
         -----
         LinAlgWarning
             If dependent centres were dropped, and that may matter.
+        UserWarning
+            If all rows of the first batch are equal, where its spread is needed.
 
         Notes
         -----
-        The parameters must be those of the first batch, but `alpha` and a selector may
-        change: then all is factored anew. k new centres take O(k M^2)
-        time, and n rows of least squares O(n M^2).
+        The spread of the first batch is that which ``beta="scale"`` and a selector's
+        ``separation="scale"`` mean in all later ones, so it should hold the motion in
+        its full extent. The parameters must be those of the first batch, but `alpha`
+        and a selector may change: then all is factored anew. k new centres take
+        O(k M^2) time, and n rows of least squares O(n M^2).
 
         If new centres make the Gram matrix nearly singular, it is factored anew and
         dependent centres are dropped as in `fit`. Which ones depends on the order of
@@ -395,7 +406,7 @@ default="auto"
         """
         started = hasattr(self, "dual_coef_")
         if not started and self._interpolates_centers:
-            return self.fit(X, y)
+            return start_by_fit(self, X, y)
         given = X
         if started:
             validate_data(self, given, reset=False, skip_check_array=True)
@@ -410,11 +421,13 @@ default="auto"
         elif growth is not None:
             estimate = add_rows(growth, self.alpha, X, outputs)
         else:
-            sections, _, _ = self._resolve_centers(X, y)
-            growth, estimate = start_least_squares(sections, self, X, outputs)
+            scale = spread(X)
+            sections, _, _ = self._resolve_centers(X, y, scale)
+            growth, estimate = start_least_squares(sections, self, X, outputs, scale)
         # Attributes are set last: a batch that fails is not counted.
         if not started:
             validate_data(self, given, y, skip_check_array=True)
+            self._spread = scale
         self._store(estimate, y.shape[1:])
         if growth is not None:
             self._growth = growth
@@ -649,14 +662,14 @@ default="auto"
             )
 
     def _resolve_centers(
-        self, X: Array, y: Array
+        self, X: Array, y: Array, scale: float | None
     ) -> tuple[Sections, Indices | None, AveragedOutputs | None]:
         """Return the sections of the centres, their rows, and the outputs there.
 
         The outputs are None where they are not interpolated.
         """
         n_features = None if self._is_precomputed else X.shape[1]
-        kernel = as_kernel(self.kernel, self.beta, n_features)
+        kernel = as_kernel(self.kernel, self.beta, n_features, scale)
         interpolates = self._interpolates_centers
         outputs = y.reshape(len(y), -1)
         once, none = np.ones(len(X)), np.zeros(outputs.shape[1])

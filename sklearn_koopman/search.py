@@ -14,8 +14,9 @@ from scipy.linalg import LinAlgWarning
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
 from sklearn.exceptions import FitFailedWarning
 from sklearn.frozen import FrozenEstimator
+from sklearn.gaussian_process.kernels import Kernel
 from sklearn.metrics import check_scoring
-from sklearn.model_selection import LeaveOneOut, ParameterGrid, check_cv
+from sklearn.model_selection import LeaveOneOut, check_cv
 from sklearn.utils import check_X_y
 from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
@@ -32,16 +33,19 @@ from ._regression._candidates import (
     tabulate,
 )
 from ._utils._parallel import one_thread
-from ._utils._rows import distinct_rows
+from ._utils._rows import distinct_rows, spread
 from ._utils._storage import StoresCentersOnce
 from ._utils._typing import Array
 from ._utils._validation import check_number, check_parameters, refuse_masked
 from ._utils._warnings import ExtrapolationWarning, warn
 from .centers import choose_centers
-from .kernels import as_kernel
+from .kernels import RadialKernel, as_kernel
 from .regression import KoopmanKernelRegressor
 
 __all__ = ["KoopmanKernelRegressorCV"]
+
+# The scales that kernels given by name are tried with, in units of the spread.
+MULTIPLES = (0.3, 1.0, 3.0, 10.0)
 
 
 class KoopmanKernelRegressorCV(
@@ -61,10 +65,13 @@ class KoopmanKernelRegressorCV(
     kernels : sequence of str or Kernel, default=("matern32",)
         The kernels to choose from. Each is a `kernel` of
         :class:`KoopmanKernelRegressor`.
-    betas : sequence of float or None, default=(0.1, 1.0, 10.0)
-        The scales to choose from, in the unit of the states. None, alone or in the
-        list, keeps the scale of the kernel object. Kernels that are not of
-        :mod:`sklearn_koopman.kernels` need None.
+    betas : sequence of (float, "scale" or None), default=None
+        The scales to choose from, in the unit of the states. "scale" and None mean
+        what they do for the `beta` of :class:`KoopmanKernelRegressor`; the spread is
+        that of all rows. By default each kernel given by name is tried with 0.3, 1, 3
+        and 10 times the spread of the states (the square root of the sum of the
+        variances of the columns of `X`), and each kernel object with its own scale.
+        Kernels that are not of :mod:`sklearn_koopman.kernels` take no numbers.
     alphas : sequence of float, default=(0.0,)
         The weights of the squared native norm (the norm of the function space that
         belongs to the kernel) to choose from.
@@ -112,7 +119,8 @@ default=None
     best_kernel_ : str or Kernel
         The chosen kernel, as given in `kernels`.
     best_beta_ : float or None
-        The chosen scale, as given in `betas`.
+        The chosen scale in the unit of the states, a number also for "scale". None if
+        so given in `betas`, or if the kernel has no scale of its own, such as a sum.
     best_alpha_ : float
         The chosen weight.
     best_score_ : float
@@ -125,10 +133,10 @@ default=None
     cv_results_ : dict of ndarrays
         The scores of all candidates in the format of
         :class:`~sklearn.model_selection.GridSearchCV`, for example for a
-        `pandas.DataFrame`: "params", "param_kernel", "param_beta", "param_alpha",
-        "mean_test_score", "std_test_score", "rank_test_score", and
-        "split0_test_score" and so on except for leave-one-out. The score of a
-        candidate without an estimate is nan.
+        `pandas.DataFrame`: "params", "param_kernel", "param_beta" (like
+        `best_beta_`), "param_alpha", "mean_test_score", "std_test_score",
+        "rank_test_score", and "split0_test_score" and so on except for leave-one-out.
+        The score of a candidate without an estimate is nan.
     center_indices_ : ndarray of shape (n_centers,) or None
         The rows of `X` that are centres, as in `best_estimator_`; None if the centres
         are not known to be rows.
@@ -242,7 +250,7 @@ default=None
     def __init__(
         self,
         kernels: Sequence[Any] = ("matern32",),
-        betas: Sequence[float | None] | None = (0.1, 1.0, 10.0),
+        betas: Sequence[float | str | None] | None = None,
         alphas: Sequence[float] = (0.0,),
         *,
         centers: Any = None,
@@ -304,10 +312,7 @@ default=None
         )
         y = np.asarray(y, dtype=np.float64)
         grid = self._grid()
-        candidates = [
-            as_kernel(kernel, beta, X.shape[1])
-            for beta, kernel in product(grid["beta"], grid["kernel"])
-        ]
+        pairs, kernels = self._kernels(grid, X)
         scorer = check_scoring(IdentityRegressor(), scoring=self.scoring)
         if self.cv is None and self.scoring is None:
             scorer = negative_squared_errors
@@ -342,10 +347,14 @@ default=None
             many = effective_n_jobs(self.n_jobs) > 1
             with one_thread() if many else nullcontext():
                 scored = Parallel(n_jobs=self.n_jobs, prefer="threads")(
-                    delayed(score_kernel)(kernel, *share) for kernel in candidates
+                    delayed(score_kernel)(kernel, *share) for kernel in kernels
                 )
         # In the order of GridSearchCV, so that it chooses among equals as that does.
-        params = list(ParameterGrid(grid))
+        params = [
+            {"alpha": alpha, "beta": beta, "kernel": kernel}
+            for alpha in grid["alpha"]
+            for beta, kernel in pairs
+        ]
         outcomes = [own[a] for a in range(len(grid["alpha"])) for own in scored]
         results, failed = tabulate(params, outcomes, by_fold=self.cv is not None)
         if failed:
@@ -450,7 +459,8 @@ default=None
                 "the folds need the states themselves, not distances."
             )
         grid: dict[str, Any] = {"alpha": self.alphas, "kernel": self.kernels}
-        grid["beta"] = [None] if self.betas is None else self.betas
+        if self.betas is not None:
+            grid["beta"] = self.betas
         for name, values in grid.items():
             is_list = isinstance(values, Iterable) and not isinstance(values, str)
             grid[name] = list(values) if is_list else []
@@ -461,6 +471,27 @@ default=None
         grid["alpha"] = [float(alpha) for alpha in grid["alpha"]]
         check_parameters(self, method=METHODS, trend=DEGREES, solver=SOLVERS)
         return grid
+
+    def _kernels(
+        self, grid: dict[str, list[Any]], X: Array
+    ) -> tuple[list[tuple[Any, Any]], list[Kernel]]:
+        """Return the scale and the given kernel of each candidate, and both in one."""
+        scale = spread(X)
+        if self.betas is None:
+            multiples = [multiple * scale for multiple in MULTIPLES]
+            pairs: list[tuple[Any, Any]] = [
+                (beta, kernel)
+                for kernel in grid["kernel"]
+                for beta in (multiples if isinstance(kernel, str) else ["scale"])
+            ]
+        else:
+            pairs = list(product(grid["beta"], grid["kernel"]))
+        kernels = [as_kernel(kernel, beta, X.shape[1], scale) for beta, kernel in pairs]
+        for i, own in enumerate(kernels):
+            if pairs[i][0] == "scale":  # results hold numbers
+                beta = own.beta if isinstance(own, RadialKernel) else None
+                pairs[i] = beta, pairs[i][1]
+        return pairs, kernels
 
     def _splits(self, X: Any, y: Any, groups: Any) -> list[Split]:
         cv = LeaveOneOut() if self.cv is None else self.cv

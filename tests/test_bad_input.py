@@ -123,13 +123,13 @@ REFUSED = {
         ["separation", "non-negative", "got -0.1"],
     ),
     "precomputed without zeros": (
-        {"centers": "precomputed"},
+        {"centers": "precomputed", "beta": 1.0},
         DISTANCES[5:],
         Y[5:],
         ["centers='precomputed'", "5 of 30", "SeparatedCenterSelector"],
     ),
     "precomputed with negative entries": (
-        {"centers": "precomputed"},
+        {"centers": "precomputed", "beta": 1.0},
         X,
         Y,
         ["X holds", "centers='precomputed'", "distances", "transform"],
@@ -293,14 +293,14 @@ def test_float32_is_computed_in_double():
 )
 def test_prediction_of_another_dimension(centers, message):
     states = X if centers is None else DISTANCES
-    model = KoopmanKernelRegressor(centers=centers).fit(states, Y)
+    model = KoopmanKernelRegressor(beta=1.0, centers=centers).fit(states, Y)
     for method in (model.predict, model.power_function):
         with pytest.raises(ValueError, match=message):
             method(np.zeros((1, 3)))
 
 
 def test_prediction_from_negative_distances():
-    model = KoopmanKernelRegressor(centers="precomputed").fit(DISTANCES, Y)
+    model = KoopmanKernelRegressor(beta=1.0, centers="precomputed").fit(DISTANCES, Y)
     with pytest.raises(ValueError, match=r"X holds -1.*distances"):
         model.predict(DISTANCES - 1)
 
@@ -310,8 +310,10 @@ def test_a_row_dropped_behind_the_selector_is_named():
     pipeline = make_pipeline(
         StandardScaler(),
         SeparatedCenterSelector(0.1),
-        KoopmanKernelRegressor(centers="precomputed"),
+        KoopmanKernelRegressor(beta=1.0, centers="precomputed"),
     ).fit(X, Y)
     distances = pipeline[:-1].transform(X)
     with pytest.raises(ValueError, match=re.escape("Rows left out after the selector")):
-        KoopmanKernelRegressor(centers="precomputed").fit(distances[1:], Y[1:])
+        KoopmanKernelRegressor(beta=1.0, centers="precomputed").fit(
+            distances[1:], Y[1:]
+        )

@@ -300,10 +300,11 @@ def test_bound_by_the_estimated_norm_covers_the_pendulum():
 @pytest.mark.parametrize("scale", [1e-8, 1e8])
 def test_bound_has_the_unit_of_the_outputs_and_none_of_the_states(scattered, scale):
     X, y, X_new = scattered
-    bound = KoopmanKernelRegressor(trend="linear").fit(X, y).error_bound(X_new)
+    plain = KoopmanKernelRegressor(beta=1.0, trend="linear").fit(X, y)
+    bound = plain.error_bound(X_new)
     states = KoopmanKernelRegressor(beta=scale, trend="linear").fit(scale * X, y)
     assert_allclose(states.error_bound(scale * X_new), bound, rtol=1e-6)
-    outputs = KoopmanKernelRegressor(trend="linear").fit(X, scale * y)
+    outputs = KoopmanKernelRegressor(beta=1.0, trend="linear").fit(X, scale * y)
     assert_allclose(outputs.error_bound(X_new), scale * bound, rtol=1e-9)
 
 
@@ -586,7 +587,9 @@ def test_one_centre_makes_no_estimate_of_the_norm():
 
 def test_bound_is_that_of_the_model_as_it_was_fitted():
     X = np.linspace(0, 1, 20)[:, np.newaxis]
-    model = KoopmanKernelRegressor(centers="precomputed").fit(cdist(X, X), X[:, 0])
+    model = KoopmanKernelRegressor(beta=1.0, centers="precomputed").fit(
+        cdist(X, X), X[:, 0]
+    )
     bound = model.error_bound(cdist(X, X), norm=1.0)
     model.set_params(trend="linear")
     assert_array_equal(model.error_bound(cdist(X, X), norm=1.0), bound)

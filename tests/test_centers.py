@@ -21,6 +21,9 @@ from sklearn.preprocessing import StandardScaler
 from sklearn_koopman import SeparatedCenterSelector
 from sklearn_koopman.datasets import make_pendulum
 
+# Random data of small extent, too, are compared with loops.
+pytestmark = pytest.mark.filterwarnings("ignore:separation=.* leaves 1 centre")
+
 every_order = pytest.mark.parametrize("order", ["sequential", "farthest"])
 
 
@@ -514,7 +517,7 @@ def test_values_near_zero_are_fine_once_the_scale_is_known():
     selector.partial_fit([[1e-200]])
     assert_array_equal(selector.center_indices_, [0, 1])
     with pytest.raises(ValueError, match="1e-200"):
-        SeparatedCenterSelector().partial_fit([[0.0]]).partial_fit([[1e-200]])
+        SeparatedCenterSelector(1.0).partial_fit([[0.0]]).partial_fit([[1e-200]])
 
 
 def test_farthest_first_has_no_batches():

@@ -925,7 +925,7 @@ def test_convergence_study_refuses_bad_input(orbit, later):
     behind = Pipeline(
         [
             ("centers", SeparatedCenterSelector()),
-            ("koopman", KoopmanKernelRegressor(centers="precomputed")),
+            ("koopman", KoopmanKernelRegressor(beta=1.0, centers="precomputed")),
         ]
     )
     with pytest.raises(ValueError, match="fitted to states and not to distances"):

@@ -198,7 +198,7 @@ def test_koopman_matrix_is_similar_to_that_on_coefficients(pendulum):
     """L^T (K^-1 K+) L^-T, as the docstring says."""
     rows = SeparatedCenterSelector(0.23).fit(pendulum.X).center_indices_
     xi, successors = pendulum.X[rows], pendulum.X_next[rows]
-    model = KernelEDMD("matern32").fit(xi, X_next=successors)
+    model = KernelEDMD("matern32", beta=1.0).fit(xi, X_next=successors)
     kernel = MaternSobolev(1.0, 1.5)
     K, K_next = kernel(xi), kernel(successors, xi)
     L = linalg.cholesky(K, lower=True)
@@ -1275,6 +1275,7 @@ def test_outputs_of_all_rows_are_those_of_the_regressor():
     X = make_pendulum(60, step=0.02).X
     y = np.sin(3 * X[:, 0])
     settings = {"centers": X[:-1:4], "method": "least_squares", "alpha": 0.1}
+    settings["beta"] = 1.0
     model = KernelEDMD(**settings).fit(X, y, sample_index=range(60))
     regressor = KoopmanKernelRegressor(**settings).fit(X, y)
     np.testing.assert_allclose(model.predict(X), regressor.predict(X), rtol=1e-9)

@@ -1,4 +1,4 @@
-"""scikit-learn's own checks, with none expected to fail."""
+"""scikit-learn's own checks, with one of a default expected to fail."""
 
 from itertools import cycle
 
@@ -34,7 +34,11 @@ class OnDistances(RegressorMixin, BaseEstimator):
         X, y = validate_data(self, X, y, y_numeric=True, dtype=float)
         self.rows_ = SeparatedCenterSelector(0.0).fit(X).cluster_centers_
         self.model_ = KoopmanKernelRegressor(
-            centers="precomputed", method=self.method, trend=self.trend, alpha=0.01
+            beta=1.0,
+            centers="precomputed",
+            method=self.method,
+            trend=self.trend,
+            alpha=0.01,
         ).fit(cdist(X, self.rows_), y)
         return self
 
@@ -46,6 +50,7 @@ class OnDistances(RegressorMixin, BaseEstimator):
 
 SELECTORS = [
     SeparatedCenterSelector(),
+    SeparatedCenterSelector(0.5),
     SeparatedCenterSelector(0.0, order="farthest", max_centers=3),
 ]
 # Every option of every estimator once. The checks are of the interface, which depends
@@ -60,7 +65,7 @@ REGRESSORS = [
         trend="constant",
     ),
     KoopmanKernelRegressor(
-        Wendland(5.0, 4), centers=SeparatedCenterSelector(1.0), trend="linear", n_jobs=2
+        Wendland(5.0, 4), centers=SeparatedCenterSelector(0.5), trend="linear", n_jobs=2
     ),
     KoopmanKernelRegressor(
         "inverse_multiquadric",
@@ -88,7 +93,7 @@ OPERATORS = [
 CENTERS = [
     None,
     SeparatedCenterSelector(0.1),
-    SeparatedCenterSelector(1.0),
+    SeparatedCenterSelector(),
     SeparatedCenterSelector(0.0, order="farthest", max_centers=150),
 ]
 METHODS = ["interpolation", "least_squares"]
@@ -106,9 +111,6 @@ PAIRS = [
             covering(centers=CENTERS, method=METHODS, trend=TRENDS),
             strict=False,
         )
-        # A separation of 1 leaves one or two centres of the samples of some checks.
-        # They determine no linear trend, which least squares refuses.
-        if (method, trend) != ("least_squares", "linear") or centers is not CENTERS[2]
     ),
     *(
         KernelEDMD(centers=centers, method=method, trend=trend)
@@ -119,13 +121,22 @@ PAIRS = [
 ]
 
 
-@parametrize_with_checks([*SELECTORS, *REGRESSORS, *OPERATORS])
+def expected_failures(estimator):
+    """Centres cover the samples; only as few of them as clusters match clusters."""
+    if getattr(estimator, "separation", None) == "scale":
+        return {"check_clustering": "the default takes more centres than clusters"}
+    return {}
+
+
+@parametrize_with_checks(
+    [*SELECTORS, *REGRESSORS, *OPERATORS], expected_failed_checks=expected_failures
+)
 def test_scikit_learn_check(estimator, check):
     check(estimator)
 
 
 @pytest.mark.slow
-@parametrize_with_checks(PAIRS)
+@parametrize_with_checks(PAIRS, expected_failed_checks=expected_failures)
 def test_scikit_learn_check_of_pairs_of_options(estimator, check):
     check(estimator)
 

@@ -53,19 +53,25 @@ FIRST = 30  # rows that are enough to fit twelve centres with
 
 # Settings, and whether outputs of equal rows may differ.
 SETTINGS = {
-    "exact": ({}, False),
-    "penalised": ({"alpha": 0.1}, True),
-    "all rows": ({"method": "least_squares"}, True),
-    "all rows, penalised": ({"method": "least_squares", "alpha": 0.3}, True),
-    "chosen": ({"centers": SeparatedCenterSelector(0.15)}, True),
-    "chosen, penalised": (
-        {"centers": SeparatedCenterSelector(0.1), "alpha": 0.2},
+    "exact": ({"beta": 1.0}, False),
+    "penalised": ({"beta": 1.0, "alpha": 0.1}, True),
+    "all rows": ({"beta": 1.0, "method": "least_squares"}, True),
+    "all rows, penalised": (
+        {"beta": 1.0, "method": "least_squares", "alpha": 0.3},
         True,
     ),
-    "few chosen": ({"centers": SeparatedCenterSelector(0.1, max_centers=20)}, True),
-    "fitted": ({"centers": GIVEN, "method": "least_squares"}, True),
+    "chosen": ({"beta": 1.0, "centers": SeparatedCenterSelector(0.15)}, True),
+    "chosen, penalised": (
+        {"beta": 1.0, "centers": SeparatedCenterSelector(0.1), "alpha": 0.2},
+        True,
+    ),
+    "few chosen": (
+        {"beta": 1.0, "centers": SeparatedCenterSelector(0.1, max_centers=20)},
+        True,
+    ),
+    "fitted": ({"beta": 1.0, "centers": GIVEN, "method": "least_squares"}, True),
     "fitted, penalised": (
-        {"centers": GIVEN, "method": "least_squares", "alpha": 0.1},
+        {"beta": 1.0, "centers": GIVEN, "method": "least_squares", "alpha": 0.1},
         True,
     ),
     "fitted, noise in the kernel": (
@@ -247,13 +253,13 @@ def test_memory_does_not_grow_with_the_rows():
 
 def test_equal_rows_count_with_their_mean_and_their_number():
     # One state, with the outputs 1, 2 and 6; k(x, x) = 1, so c = mean / (1 + 1 / 3).
-    model = KoopmanKernelRegressor(alpha=1.0)
+    model = KoopmanKernelRegressor(beta=1.0, alpha=1.0)
     for value in (1.0, 2.0, 6.0):
         model.partial_fit([[0.5]], [value])
     assert_allclose(model.dual_coef_, [3 / (1 + 1 / 3)])
     assert_array_equal(model.center_indices_, [0])
     # Without a penalty, what they scatter by is the noise: 14 = 4 + 1 + 9 over 2.
-    model = KoopmanKernelRegressor(method="least_squares")
+    model = KoopmanKernelRegressor(beta=1.0, method="least_squares")
     for value in (1.0, 2.0, 6.0):
         model.partial_fit([[0.5]], [value])
     assert_allclose(model.predict([[0.5]]), [3.0])
@@ -616,7 +622,7 @@ def test_feature_that_begins_to_vary(trend, alpha):
     X, y = samples(60, repeats=False)
     # Not at random on the line: pairs that nearly coincide would cost all digits.
     X[:25] = np.column_stack([np.linspace(0, 1, 25), np.full(25, 0.5)])
-    model = KoopmanKernelRegressor(trend=trend, alpha=alpha)
+    model = KoopmanKernelRegressor(beta=1.0, trend=trend, alpha=alpha)
     expected = clone(model).fit(X, y)
     T = np.vstack([X, X + np.array([0.0, 0.4])])
     assert_same(grown(model, X, y, [1, 20]), expected, T)
@@ -668,7 +674,9 @@ def test_trend_that_the_centres_do_not_determine_is_refused():
     X = rng.uniform(size=(60, 2))
     y = 2.0 - 7.0 * X[:, 1]
     in_a_row = np.column_stack([np.linspace(0, 1, 5), np.zeros(5)])
-    model = KoopmanKernelRegressor(method="least_squares", trend="linear", alpha=0.1)
+    model = KoopmanKernelRegressor(
+        beta=1.0, method="least_squares", trend="linear", alpha=0.1
+    )
     for centers in (in_a_row, X[:2]):
         model = clone(model).set_params(centers=centers)
         message = f"the {len(centers)} independent centres do not determine a linear"
@@ -721,9 +729,9 @@ def test_too_few_rows_for_the_centres(trend):
 @pytest.mark.parametrize(
     "parameters",
     [
-        {},
-        {"centers": SeparatedCenterSelector(0.1)},
-        {"centers": GIVEN, "method": "least_squares"},
+        {"beta": 1.0},
+        {"beta": 1.0, "centers": SeparatedCenterSelector(0.1)},
+        {"beta": 1.0, "centers": GIVEN, "method": "least_squares"},
     ],
 )
 def test_bad_batches_leave_the_estimate_as_it_was(parameters):
@@ -953,7 +961,7 @@ def test_centres_of_least_squares_can_be_selected_first(trend):
     X, y = samples(120)
     selector = SeparatedCenterSelector(0.25)
     model = KoopmanKernelRegressor(
-        centers=clone(selector), method="least_squares", trend=trend
+        beta=1.0, centers=clone(selector), method="least_squares", trend=trend
     )
     expected = model.fit(X, y)
     for rows in np.split(X, [40, 80]):

@@ -461,7 +461,9 @@ def test_surface_of_a_pipeline(before, pendulum):
     centers = "precomputed" if distances else SeparatedCenterSelector(0.5)
     model = make_pipeline(
         *before,
-        KoopmanKernelRegressor(centers=centers, method="least_squares", alpha=1e-6),
+        KoopmanKernelRegressor(
+            beta=1.0, centers=centers, method="least_squares", alpha=1e-6
+        ),
     )
     if distances:
         model[-1].set_params(method="interpolation", alpha=0.0)
@@ -814,7 +816,7 @@ def test_centers_of_models(model, operator, pendulum):
     assert CenterSelectionDisplay.from_estimator(given, X).circles_ is None
     every = SeparatedCenterSelector(0.0).fit(X)
     assert CenterSelectionDisplay.from_estimator(every, X).circles_ is None
-    one = SeparatedCenterSelector(100.0).fit(X)
+    one = SeparatedCenterSelector(max_centers=1).fit(X)
     title = CenterSelectionDisplay.from_estimator(one, X).ax_.get_title()
     assert "1 centres of 100 samples\nseparation distance inf" in title
 

@@ -261,6 +261,7 @@ def test_no_weight_harms_the_trend(scattered, alpha):
     """In the limit the kernel part vanishes, and linear regression remains."""
     X, y, X_new = scattered
     model = KoopmanKernelRegressor(
+        beta=1.0,
         centers=SeparatedCenterSelector(0.6),
         method="least_squares",
         alpha=alpha,
@@ -464,7 +465,7 @@ def test_standard_deviation_covers_what_it_should():
     X = rng.uniform(0, 4, (300, 2))
     factor = np.linalg.cholesky(9 * matern(X, X, 1.0) + 0.04 * np.eye(300))
     y = factor @ rng.standard_normal((300, 40))
-    model = KoopmanKernelRegressor(alpha=0.04 / 9).fit(X[:200], y[:200])
+    model = KoopmanKernelRegressor(beta=1.0, alpha=0.04 / 9).fit(X[:200], y[:200])
     assert_allclose(model.signal_std_.mean(), 3.0, rtol=0.05)
     mean, std = model.predict(X[200:], return_std=True)
     assert np.mean(np.abs(y[200:] - mean) < 1.96 * std) == pytest.approx(0.95, abs=0.01)
@@ -531,10 +532,10 @@ def test_distances_serve_as_well_as_states(
     X, X_new = X @ lift, X_new @ lift
     if n_features > 3 and isinstance(kernel, str) and kernel.startswith("wendland"):
         kernel = KERNELS[kernel](beta=3.0, dimension=n_features)
-    selector = SeparatedCenterSelector(0.7).fit(X)
-    options = {"method": method, "trend": trend, "alpha": 1e-3}
+    selector = SeparatedCenterSelector(0.3).fit(X)
+    options = {"beta": None, "method": method, "trend": trend, "alpha": 1e-3}
     inside = KoopmanKernelRegressor(
-        kernel, centers=SeparatedCenterSelector(0.7), **options
+        kernel, centers=SeparatedCenterSelector(0.3), **options
     ).fit(X, y)
     outside = KoopmanKernelRegressor(kernel, centers="precomputed", **options)
     outside.fit(selector.transform(X), y)
@@ -611,7 +612,7 @@ def test_wendland_takes_the_dimension_of_the_data(scattered):
     composed = KoopmanKernelRegressor(2.0 * Wendland(3.0) + MaternSobolev()).fit(X, y)
     assert composed.kernel_.k1.k2.dimension == 3  # the least, as for distances
     assert composed.kernel.k1.k2.dimension is None  # the parameter stays as it was
-    distances = KoopmanKernelRegressor("wendland_c2", centers="precomputed")
+    distances = KoopmanKernelRegressor("wendland_c2", beta=1.0, centers="precomputed")
     assert distances.fit(cdist(X, X), y).kernel_.dimension == 3
 
 
@@ -784,7 +785,7 @@ def test_pickle_is_small_and_the_factor_comes_back(scattered):
 
 def test_pickle_of_distances_says_what_it_cannot_do(scattered):
     X, y, X_new = scattered
-    model = KoopmanKernelRegressor(centers="precomputed").fit(cdist(X, X), y)
+    model = KoopmanKernelRegressor(beta=1.0, centers="precomputed").fit(cdist(X, X), y)
     loaded = pickle.loads(pickle.dumps(model))
     distances = cdist(X_new, X)
     assert_array_equal(loaded.predict(distances), model.predict(distances))
@@ -826,9 +827,9 @@ def test_parameters_set_after_the_fit_wait_for_the_next(scattered):
 
 def test_refitting_forgets_the_former_fit(scattered):
     X, y, X_new = scattered
-    model = KoopmanKernelRegressor(trend="linear").fit(X, y)
+    model = KoopmanKernelRegressor(beta=1.0, trend="linear").fit(X, y)
     model.set_params(trend=None, centers="precomputed").fit(cdist(X, X), y)
     assert not hasattr(model, "trend_coef_")
     assert not hasattr(model, "centers_")
-    fresh = KoopmanKernelRegressor().fit(X, y)
+    fresh = KoopmanKernelRegressor(beta=1.0).fit(X, y)
     assert_allclose(model.predict(cdist(X_new, X)), fresh.predict(X_new), rtol=1e-9)

@@ -33,7 +33,10 @@ def inside(**options):
             (
                 "koopman",
                 KoopmanKernelRegressor(
-                    centers=SeparatedCenterSelector(0.1), alpha=1e-4, **options
+                    centers=SeparatedCenterSelector(0.1),
+                    alpha=1e-4,
+                    beta=1.0,
+                    **options,
                 ),
             ),
         ]
@@ -47,7 +50,9 @@ def in_front(**options):
             ("centers", SeparatedCenterSelector(0.1)),
             (
                 "koopman",
-                KoopmanKernelRegressor(centers="precomputed", alpha=1e-4, **options),
+                KoopmanKernelRegressor(
+                    centers="precomputed", alpha=1e-4, beta=1.0, **options
+                ),
             ),
         ]
     )

@@ -92,7 +92,7 @@ SPLITS = [
 ]
 
 
-def refitted(X, y, folds, centers=None, method="interpolation", **options):
+def refitted(X, y, folds, centers=None, method="interpolation", beta=None, **options):
     """Held-out predictions by definition: the centres that are left, or all of them."""
     predictions = []
     for train, test in folds:
@@ -100,7 +100,7 @@ def refitted(X, y, folds, centers=None, method="interpolation", **options):
         if centers is not None and method == "interpolation":
             is_row = (centers[:, np.newaxis] == X[train]).all(axis=2).any(axis=1)
             own = centers[is_row]
-        model = KoopmanKernelRegressor(centers=own, method=method, **options)
+        model = KoopmanKernelRegressor(beta=beta, centers=own, method=method, **options)
         predictions.append(model.fit(X[train], y[train]).predict(X[test]))
     return np.concatenate(predictions)
 
@@ -666,7 +666,9 @@ def test_a_fold_without_the_independent_centres_has_others():
 def test_candidates_without_an_estimate_come_last():
     rng = np.random.default_rng(0)
     X = rng.standard_normal((60, 3))
-    model = KoopmanKernelRegressorCV([ExpSineSquared(), "matern32"], None, [1e-3], cv=3)
+    model = KoopmanKernelRegressorCV(
+        [ExpSineSquared(), "matern32"], [None], [1e-3], cv=3
+    )
     with pytest.warns(FitFailedWarning, match=r"1 of 2 .*ExpSineSquared") as caught:
         model.fit(X, X[:, 0])
     assert len(caught) == 1
@@ -723,7 +725,7 @@ def test_equal_rows_with_different_outputs_need_a_weight():
         ({"kernels": ["cubic"]}, "kernel must be one of .* got 'cubic'"),
         ({"betas": 1.0}, "betas must be a non-empty list, got 1.0"),
         ({"betas": [0.0]}, "beta must be a finite positive number, got 0.0"),
-        ({"betas": ["wide"]}, "beta must be a finite positive number, got 'wide'"),
+        ({"betas": ["wide"]}, "beta must be .* .scale. or None, got .wide"),
         ({"alphas": [-1.0]}, "alphas must be a finite non-negative number, got -1.0"),
         ({"alphas": None}, "alphas must be a non-empty list"),
         ({"centers": "precomputed"}, "the folds need the states themselves"),

@@ -1,5 +1,6 @@
 """Growth of a fitted regressor by a batch of rows: functions of its state."""
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,14 @@ from .._linalg._incremental import GrowingLeastSquares, GrowingSystem
 from .._linalg._systems import DirectSystem
 from .._matrices._polynomial import DEGREES
 from .._matrices._sections import KernelSections, Sections
-from .._utils._rows import AveragedOutputs, average_equal_rows
+from .._utils._rows import (
+    AveragedOutputs,
+    average_equal_rows,
+    spread,
+    warn_without_spread,
+)
 from .._utils._typing import Array
-from ..centers import SeparatedCenterSelector
+from ..centers import SeparatedCenterSelector, resolve_separation
 from ..kernels import as_kernel
 from ..solvers import ConjugateGradient
 from ._estimate import Estimate, keep_averages
@@ -67,7 +73,8 @@ def check_batch(model: Any, system: DirectSystem, y: Array) -> None:
             f"y has shape {y.shape}, but earlier batches had outputs of shape {shape}; "
             "give the same outputs in every batch."
         )
-    kernel = as_kernel(model.kernel, model.beta, known.points.shape[1])
+    n_features, scale = known.points.shape[1], _first_spread(model, known.points)
+    kernel = as_kernel(model.kernel, model.beta, n_features, scale)
     same = kernel == known.kernel and DEGREES[model.trend] == system.degree
     if model.method == "interpolation" or model.centers is None:
         same = same and hasattr(model, "_averages")
@@ -127,7 +134,10 @@ def add_centers(
         exact = model.alpha == 0 and not fits
         chosen, averages = average_equal_rows(points, averages, exact, numbers)
     else:
-        selector = clone(model.centers).partial_fit(known.points).partial_fit(X)
+        selector = clone(model.centers)
+        scale = _first_spread(model, known.points)
+        selector.separation = resolve_separation(selector.separation, scale)
+        selector.partial_fit(known.points).partial_fit(X)
         chosen = selector.center_indices_
         averages = averages.take(chosen)
     sections = KernelSections(known.kernel, points[chosen])
@@ -152,8 +162,20 @@ def add_centers(
     return Estimate(system, fit, rows, averages, n_rows)
 
 
+def start_by_fit(model: Any, X: Any, y: Any) -> Any:
+    """Fit an interpolant to the first batch, and return the model.
+
+    A first batch may be so short that it has one centre only.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "separation=.* leaves 1 centre")
+        model.fit(X, y)
+    warn_without_spread(model, model._spread)
+    return model
+
+
 def start_least_squares(
-    sections: Sections, model: Any, X: Array, y: Array
+    sections: Sections, model: Any, X: Array, y: Array, scale: float
 ) -> tuple[GrowingLeastSquares, Estimate]:
     """Return least squares at given centres for the first batch.
 
@@ -174,6 +196,7 @@ def start_least_squares(
 
     negligible = negligible_tolerance(len(X), model.alpha)
     growth, fit = system.until_sound(start, negligible)
+    warn_without_spread(model, scale)
     return growth, Estimate(system, fit, None, None, len(X))
 
 
@@ -192,3 +215,8 @@ def add_rows(growth: GrowingLeastSquares, alpha: float, X: Array, y: Array) -> E
     except np.linalg.LinAlgError as error:
         raise ValueError(f"No estimate with these rows: {error}. {REMEDY}") from error
     return Estimate(growth.system, fit, None, None, growth.n_rows)
+
+
+def _first_spread(model: Any, points: Array) -> float:
+    """Return the spread of the first batch, which models of version 0.1 do not hold."""
+    return getattr(model, "_spread", None) or spread(points)

@@ -1,10 +1,95 @@
-"""Equal rows: which they are, and the means of their outputs."""
+"""Rows: how far they spread, which are equal, and the means of their outputs."""
 
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+from sklearn.utils import gen_batches
 
 from ._typing import Array, Indices
+from ._warnings import warn
+
+# Rows that are compared with their mean at a time, so that no copy of all is made.
+CHUNK_ROWS = 2**12
+
+
+def spread(X: Array, sample_weight: Array | None = None) -> float:
+    """Measure how far rows spread, the scale that estimators take by default.
+
+    It is the root of the mean squared distance of the rows from their mean.
+
+    Parameters
+    ----------
+    X : ndarray of shape (n_samples, n_features)
+        The rows.
+    sample_weight : ndarray of shape (n_samples,), default=None
+        How often each row counts, at least one of them above 0. By default all once.
+
+    Returns
+    -------
+    spread : float
+        The square root of the sum of the variances of the columns; 1 if all rows that
+        count are equal.
+    """
+    if sample_weight is not None:
+        X, sample_weight = X[sample_weight > 0], sample_weight[sample_weight > 0]
+    # Differences from the least values, in units of the largest difference: then
+    # neither an offset nor a unit costs digits, and equal rows have exactly none.
+    least = X.min(axis=0)
+    with np.errstate(over="ignore"):
+        unit = float((X.max(axis=0) - least).max())
+    if unit == 0:
+        return 1.0
+    if unit == np.inf:
+        return 2 * spread(X / 2, sample_weight)
+    weights = np.ones(len(X)) if sample_weight is None else sample_weight
+    chunks = list(gen_batches(len(X), CHUNK_ROWS))
+
+    def deviations(rows: slice, center: Any) -> Array:
+        difference = np.subtract(X[rows], least, order="C")
+        difference /= unit
+        difference -= center
+        return difference
+
+    total = weights.sum()
+    moments = [
+        np.einsum("i,ij->j", weights[rows], deviations(rows, 0.0)) for rows in chunks
+    ]
+    mean = np.sum(moments, axis=0) / total
+    squares = 0.0
+    for rows in chunks:
+        difference = deviations(rows, mean)
+        squares += np.einsum("i,ij,ij->", weights[rows], difference, difference)
+    return unit * float(np.sqrt(squares / total))
+
+
+def warn_without_spread(estimator: Any, spread: float) -> None:
+    """Warn that the first of several batches had no spread, which later ones need.
+
+    Parameters
+    ----------
+    estimator : estimator instance
+        What learns from the batches.
+    spread : float
+        The spread of the first batch; 1 where there is none.
+
+    Warns
+    -----
+    UserWarning
+        If a parameter stands for the spread.
+    """
+    if spread != 1:
+        return
+    given = estimator.get_params()
+    names = ["separation", "centers__separation"]
+    if isinstance(given.get("kernel"), str):
+        names.append("beta")
+    used = [f"{name}='scale'" for name in names if isinstance(given.get(name), str)]
+    if used:
+        warn(
+            f"All rows of the first batch are equal, so that {' and '.join(used)} "
+            "takes 1 for the spread of the states; begin with more rows, or set a "
+            "number in the unit of the states."
+        )
 
 
 def distinct_rows(X: Array) -> tuple[Indices, Indices, Indices]:

@@ -37,7 +37,7 @@ def condition_number(
         The centres.
     beta : float, default=None
         Scale of the kernel. None keeps the scale of a kernel object, and means 1 for a
-        name.
+        name, since centres do not tell the spread of the data.
     alpha : float, default=0.0
         The number that is added to the diagonal.
 

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
+from sklearn.frozen import FrozenEstimator
 from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted
 
 from .._utils._pipeline import unwrap
 from .._utils._typing import Array
+from ..centers import resolve_separation
 from ..diagnostics import fill_distance, separation_distance
 from ._display import BLUE, Display, Keywords, merge_style
 from ._inputs import find_centers, resolve_names
@@ -156,11 +158,10 @@ class CenterSelectionDisplay(Display):  # numpydoc ignore=PR02
                 f"features must be two different columns of X, from 0 to {known[-1]}, "
                 f"got {features!r}."
             )
-        selector = final.get_params().get("centers", final)
         return cls(
             samples=samples,
             centers=centers,
-            separation=getattr(selector, "separation", None),
+            separation=_used_separation(final),
             separation_distance=separation_distance(centers),
             fill_distance=fill_distance(centers, samples),
             features=features,
@@ -233,3 +234,14 @@ class CenterSelectionDisplay(Display):  # numpydoc ignore=PR02
         is_quick = n_samples <= MAX_SAMPLES_TO_AVOID
         ax.legend(handles=handles, loc="best" if is_quick else "upper right")
         return self
+
+
+def _used_separation(final: Any) -> float | None:
+    """Return the separation of the centres of a fitted model or selector, if any."""
+    centers = final.get_params().get("centers", final)
+    separation = getattr(centers, "separation", None)
+    if separation is None:
+        return None
+    # A model clones its selector, unless that is frozen, and fits it to its own states.
+    fitted = centers if isinstance(centers, FrozenEstimator) else final
+    return resolve_separation(separation, getattr(fitted, "_spread", None))
