@@ -234,8 +234,8 @@ def plot(ankle, starts, ahead, forecasts, errors, rate, options):
             lw=1.5,
             label="actual",
         )
-        for label, forecast in forecasts.items():
-            ax.plot(ahead, forecast[shown, :, axis], ls="", **STYLES[label])
+        for label, guess in forecasts.items():
+            ax.plot(ahead, guess[shown, :, axis], ls="", **STYLES[label])
     axes["forward"].set(ylabel="ankle forward of hip [mm]", title="A typical start")
     axes["forward"].sharex(axes["up"])
     axes["forward"].tick_params(labelbottom=False)
