@@ -42,6 +42,7 @@ from sklearn_koopman import (
     KernelEDMD,
     SeparatedCenterSelector,
     TrajectoryKFold,
+    forecast,
     make_forecast_scorer,
     trajectory_pairs,
 )
@@ -167,7 +168,7 @@ def main(arguments=None):
         groups=pairs.groups[kept],
         sample_index=pairs.sample_index[kept],
     )
-    scaler, koopman = search.best_estimator_["scale"], search.best_estimator_["koopman"]
+    koopman = search.best_estimator_["koopman"]
     print(
         f"best: {koopman.kernel_!r} on {len(koopman.centers_)} centres, "
         f"trend {koopman.trend}, alpha {koopman.alpha:g}"
@@ -178,15 +179,15 @@ def main(arguments=None):
     frames = lag * np.arange(1, N_STEPS + 1)
     starts = np.arange(round(PAST * rate), len(ankle) - frames[-1], 5)
     first = len(ankle) - lag - test.sum()  # the frame of the first row
-    states = scaler.transform(pairs.X[test][starts - first])
+    states = pairs.X[test][starts - first]
     measured = ankle[starts[:, np.newaxis] + frames]
     forecasts = {
-        "this model": koopman.forecast(states, N_STEPS, relift=True),
+        "this model": forecast(search, states, N_STEPS, relift=True),
         "repetition": np.array([repetition(ankle, t, frames, rate) for t in starts]),
         "persistence": np.repeat(ankle[starts][:, np.newaxis], N_STEPS, axis=1),
     }
-    errors = {name: forecast - measured for name, forecast in forecasts.items()}
-    powers = koopman.forecast(states, N_STEPS) - measured
+    errors = {name: guess - measured for name, guess in forecasts.items()}
+    powers = forecast(search, states, N_STEPS) - measured
 
     print(f"\nheld-out error in mm, from {len(starts)} starts:")
     times = "".join(f"{s * lag / rate:8.1f} s" for s in REPORTED)
@@ -233,8 +234,8 @@ def plot(ankle, starts, ahead, forecasts, errors, rate, options):
             lw=1.5,
             label="actual",
         )
-        for label, forecast in forecasts.items():
-            ax.plot(ahead, forecast[shown, :, axis], ls="", **STYLES[label])
+        for label, guess in forecasts.items():
+            ax.plot(ahead, guess[shown, :, axis], ls="", **STYLES[label])
     axes["forward"].set(ylabel="ankle forward of hip [mm]", title="A typical start")
     axes["forward"].sharex(axes["up"])
     axes["forward"].tick_params(labelbottom=False)

@@ -134,8 +134,9 @@ def test_ends_of_trials_contradict_the_order(swings, kind):
         if y is None
         else r"row 58 is no row's state, but row 59 would be taken to follow row 58"
     )
-    with pytest.raises(ValueError, match=found + ".* every row is one step .*=range"):
-        KernelEDMD(n_modes=0).fit(pairs.X, y)
+    for X in (pairs.X, pd.DataFrame(pairs.X)):
+        with pytest.raises(ValueError, match=found + ".* every row is one .*=range"):
+            KernelEDMD(n_modes=0).fit(X, y)
     for clock in (pairs.sample_index, range(len(pairs.X))):
         KernelEDMD(n_modes=0).fit(pairs.X, y, sample_index=clock)
     KernelEDMD(n_modes=0).fit(pairs.X, y, X_next=pairs.X_next)

@@ -109,10 +109,12 @@ def _follow_order(X: Array, given: Any, y: Any) -> tuple[Indices, Indices]:
     trusted unless the outputs, or delayed copies of the states, contradict.
     """
     clock = order_of_labels(given, y)
-    links = successor_rows(np.arange(len(X)) if clock is None else clock)
+    if clock is None:
+        clock = np.arange(len(X))
+    links = successor_rows(clock)
     if len(links[0]) and y is not None:
         _check_outputs(X, given, y, links)
-    if clock is None:
+    if (np.diff(clock) == 1).all():
         _check_delays(X)
     _warn_of_wraps(X, given, links)
     return links

@@ -11,8 +11,8 @@ from ._typing import Indices
 USUAL = 0.1
 REMEDY = (
     "Give recordings to trajectory_pairs as a list of data frames, and fit to its "
-    "frames; or fit with sample_index=pairs.sample_index. Only if every row is one step "
-    "after the row before it, fit with sample_index=range(len(X))."
+    "frames; or fit with sample_index=pairs.sample_index. Only if every row is one "
+    "step after the row before it, fit with sample_index=range(len(X))."
 )
 
 
