@@ -11,7 +11,6 @@ from scipy.spatial.distance import cdist
 from sklearn.base import (
     BaseEstimator,
     ClassNamePrefixFeaturesOutMixin,
-    ClusterMixin,
     TransformerMixin,
     clone,
 )
@@ -50,7 +49,7 @@ def _selects_in_batches(selector: Any) -> bool:
 
 
 class SeparatedCenterSelector(
-    ClassNamePrefixFeaturesOutMixin, TransformerMixin, ClusterMixin, BaseEstimator
+    ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
 ):
     """Select samples that keep a minimal distance from each other as centres.
 
@@ -289,6 +288,23 @@ class SeparatedCenterSelector(
         self.fill_distance_ = max(fitted.get("fill_distance_", 0.0), fill)
         self.n_samples_seen_ = n_seen + len(X)
         return self
+
+    def fit_predict(self, X: Any, y: Any = None) -> Indices:
+        """Select the centres, and find the nearest one of each sample.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            The states.
+        y : object, default=None
+            Not used.
+
+        Returns
+        -------
+        labels : ndarray of shape (n_samples,)
+            The number of the nearest centre: `labels_`.
+        """
+        return self.fit(X).labels_
 
     def transform(self, X: Any) -> Array:
         """Compute the distances to the centres.

@@ -317,7 +317,7 @@ default=None
         if self.cv is None and self.scoring is None:
             scorer = negative_squared_errors
         # As they were given: the index of a DataFrame may tell the trials.
-        splits = self._splits(given, given_y, groups)
+        splits = self._splits(given, given_y, groups, len(X))
         centers, points = self.centers, X
         if hasattr(centers, "fit") and not isinstance(centers, type):
             # Fitted once: the winner has the centres that it was chosen with.
@@ -493,14 +493,14 @@ default=None
                 pairs[i] = beta, pairs[i][1]
         return pairs, kernels
 
-    def _splits(self, X: Any, y: Any, groups: Any) -> list[Split]:
+    def _splits(self, X: Any, y: Any, groups: Any, n_rows: int) -> list[Split]:
         cv = LeaveOneOut() if self.cv is None else self.cv
         splits: list[Split] = []
-        every = np.arange(len(X))
+        every = np.arange(n_rows)
         for train, test in check_cv(cv, y).split(X, y, groups):
             train, test = every[train], every[test]
             out = np.delete(every, train)
-            n_train = len(X) - len(out)
+            n_train = n_rows - len(out)
             if not n_train or not len(test) or n_train < len(train):
                 raise ValueError(
                     f"Fold {len(splits)} of cv={self.cv!r} has {len(test)} test rows "

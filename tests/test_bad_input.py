@@ -14,6 +14,9 @@ from sklearn.preprocessing import StandardScaler
 from sklearn_koopman import KoopmanKernelRegressor, SeparatedCenterSelector
 from sklearn_koopman.kernels import Wendland
 
+# Some states here are far from few centres on purpose.
+pytestmark = pytest.mark.filterwarnings("ignore::sklearn_koopman.ExtrapolationWarning")
+
 RNG = np.random.default_rng(0)
 X = RNG.standard_normal((30, 2))
 Y = RNG.standard_normal(30)

@@ -42,6 +42,9 @@ from sklearn_koopman.datasets import make_pendulum, make_walking
 from sklearn_koopman.kernels import MaternSobolev, Wendland
 from sklearn_koopman.trajectories import successor_rows
 
+# Some states here are far from few centres on purpose.
+pytestmark = pytest.mark.filterwarnings("ignore::sklearn_koopman.ExtrapolationWarning")
+
 CHOICES = {
     "method": ["interpolation", "least_squares"],
     "trend": [None, "constant", "linear"],

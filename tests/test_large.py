@@ -38,6 +38,9 @@ from sklearn_koopman._matrices._sparse import cross, density, gram, kd_tree
 from sklearn_koopman.kernels import KERNELS, Gaussian, MaternSobolev, Wendland
 from sklearn_koopman.solvers import ConjugateGradient
 
+# Some states here are far from few centres on purpose.
+pytestmark = pytest.mark.filterwarnings("ignore::sklearn_koopman.ExtrapolationWarning")
+
 RNG = np.random.default_rng(0)
 SQUARE = RNG.uniform(size=(700, 2))
 STATES = RNG.normal(size=(220, 2))

@@ -17,6 +17,9 @@ from sklearn_koopman import (
 )
 from sklearn_koopman.datasets import make_pendulum
 
+# Some states here are far from few centres on purpose.
+pytestmark = pytest.mark.filterwarnings("ignore::sklearn_koopman.ExtrapolationWarning")
+
 VERSIONS = sorted(p for p in (Path(__file__).parent / "fixtures").glob("*.*.*"))
 NAMES = sorted(path.stem for path in VERSIONS[-1].glob("*.pkl"))
 

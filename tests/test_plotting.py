@@ -984,7 +984,9 @@ def test_forecast_by_steps_of_several_rows(walking):
 def strides(walking):
     """Pairs of a step of four rows, and a model of them."""
     pairs = trajectory_pairs(walking.trajectories, walking.outputs, lag=4)
-    model = KernelEDMD("matern32", centers=SeparatedCenterSelector(0.2), n_modes=0)
+    model = KernelEDMD(
+        "matern32", beta=1.0, centers=SeparatedCenterSelector(0.2), n_modes=0
+    )
     return pairs, model.fit(pairs.X, pairs.y, sample_index=pairs.sample_index)
 
 

@@ -38,6 +38,9 @@ from sklearn_koopman import KoopmanKernelRegressor, SeparatedCenterSelector
 from sklearn_koopman.datasets import make_pendulum
 from sklearn_koopman.kernels import KERNELS, MaternSobolev, Wendland
 
+# Some states here are far from few centres on purpose.
+pytestmark = pytest.mark.filterwarnings("ignore::sklearn_koopman.ExtrapolationWarning")
+
 METHODS = ["interpolation", "least_squares"]
 
 

@@ -17,6 +17,9 @@ from sklearn_koopman import (
 from sklearn_koopman.datasets import make_pendulum
 from sklearn_koopman.kernels import Gaussian, MaternSobolev
 
+# Some states here are far from few centres on purpose.
+pytestmark = pytest.mark.filterwarnings("ignore::sklearn_koopman.ExtrapolationWarning")
+
 METHODS = ["interpolation", "least_squares"]
 
 

@@ -48,6 +48,9 @@ from sklearn_koopman._linalg._leave_out import (
 from sklearn_koopman.kernels import Gaussian, MaternSobolev
 from sklearn_koopman.solvers import ConjugateGradient
 
+# Some states here are far from few centres on purpose.
+pytestmark = pytest.mark.filterwarnings("ignore::sklearn_koopman.ExtrapolationWarning")
+
 TRENDS = [None, "constant", "linear"]
 
 

@@ -22,6 +22,9 @@ from sklearn.gaussian_process.kernels import DotProduct
 from sklearn_koopman import KernelEDMD, SeparatedCenterSelector
 from sklearn_koopman.datasets import make_pendulum
 
+# Some states here are far from few centres on purpose.
+pytestmark = pytest.mark.filterwarnings("ignore::sklearn_koopman.ExtrapolationWarning")
+
 METHODS = ["interpolation", "least_squares"]
 
 

@@ -1,6 +1,7 @@
 """What displays take from estimators and data, and the checks of it."""
 
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from inspect import signature
 from typing import Any
@@ -11,6 +12,7 @@ from .._utils._frames import index_level
 from .._utils._pipeline import unwrap
 from .._utils._typing import Array
 from .._utils._validation import check_integer, check_number
+from .._utils._warnings import ExtrapolationWarning
 from ..trajectories import match_successors, successor_rows
 
 # Patterns of the names and the representations of kernels, and their common names.
@@ -100,7 +102,11 @@ def predict_like(estimator: Any, given: Any, states: Array, output: int) -> Arra
     if hasattr(given, "columns"):
         names = {"columns" if hasattr(given, "iloc") else "schema": list(given.columns)}
         like = type(given)(states, **names)  # of pandas, or of polars
-    return select_output(estimator.predict(like), output, len(states), "the prediction")
+    with warnings.catch_warnings():
+        # A picture shows where the data are.
+        warnings.simplefilter("ignore", ExtrapolationWarning)
+        predicted = estimator.predict(like)
+    return select_output(predicted, output, len(states), "the prediction")
 
 
 def predict_one_step(
