@@ -310,8 +310,10 @@ default=None
         scorer = check_scoring(IdentityRegressor(), scoring=self.scoring)
         if self.cv is None and self.scoring is None:
             scorer = negative_squared_errors
-        # As they were given: the index of a DataFrame may tell the trials.
-        splits = self._splits(given, given_y, groups)
+        # A DataFrame as it was given: its index may tell the trials.
+        rows = given if hasattr(given, "iloc") else X
+        targets = given_y if hasattr(given_y, "iloc") else y
+        splits = self._splits(rows, targets, groups)
         centers, points = self.centers, X
         if hasattr(centers, "fit") and not isinstance(centers, type):
             # Fitted once: the winner has the centres that it was chosen with.

@@ -14,6 +14,7 @@ from sklearn.linear_model import LinearRegression
 
 from sklearn_koopman import (
     KernelEDMD,
+    KoopmanKernelRegressorCV,
     SeparatedCenterSelector,
     TrajectoryKFold,
     current_states,
@@ -23,6 +24,8 @@ from sklearn_koopman._utils._embedding import embed
 from sklearn_koopman._utils._frames import index_level
 from sklearn_koopman._utils._recordings import find_wraps
 from sklearn_koopman._utils._validation import refuse_masked
+from sklearn_koopman.datasets import make_pendulum, make_walking
+from sklearn_koopman.diagnostics import calibration_study
 
 NAMES = ["X", "y", "X_next", "groups", "sample_index", "time", "frame"]
 
@@ -831,6 +834,30 @@ def test_folds_leave_out_the_trials_of_the_index():
     one = pairs.X.loc[[1]]
     tests = [test for _, test in TrajectoryKFold(3).split(one)]
     assert_array_equal(np.concatenate(tests), range(len(one)))
+
+
+def test_searches_and_studies_leave_out_the_trials_of_the_index():
+    walking = make_walking(3, n_strides=2, rate=50, random_state=0)
+    angles = [pd.DataFrame(x, columns=["hip", "knee"]) for x in walking.trajectories]
+    pairs = trajectory_pairs(angles, walking.outputs, lag=4, delays=2)
+    X, y = pairs.X.to_numpy(), pairs.y.to_numpy()
+    search = KoopmanKernelRegressorCV(betas=[1.0], cv=TrajectoryKFold(3))
+    expected = search.fit(X, y, groups=pairs.groups).best_score_
+    assert search.fit(X, y).best_score_ > expected + 1e-3
+    for data in ((pairs.X, pairs.y), (pairs.X, y), (X, pairs.y)):
+        assert search.fit(*data).best_score_ == expected
+    model = search.best_estimator_
+    for cv in (None, 3):
+        study = calibration_study(model, pairs.X, y, cv=cv)
+        own = calibration_study(model, X, y, groups=pairs.groups, cv=cv)
+        assert study.ratio == own.ratio
+
+
+def test_datasets_keep_their_arrays():
+    with config_context(transform_output="pandas"):
+        data = make_pendulum(20)
+        assert type(data.X) is np.ndarray
+        assert_allclose(data.f(data.X), data.X_next)
 
 
 def test_an_index_that_restarts_needs_groups():

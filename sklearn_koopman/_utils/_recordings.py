@@ -191,7 +191,7 @@ def read_recordings(
                 "not count frames or seconds by reset_index(drop=True)."
             )
         columns = y.reshape(len(y), -1)
-        is_there = np.asarray(np.isfinite(np.column_stack([x, columns])).all(axis=1))
+        is_there = _complete(x) & _complete(columns)
         is_link = is_there[1:] & is_there[:-1] & ~is_hole
         sources = [(name, names, x)]
         if outputs is not None:
@@ -283,9 +283,9 @@ def find_wraps(rows: Array, following: Array) -> dict[int, float]:
         The full turn, 360 or 2 pi, of each column that wraps.
     """
     turns: dict[int, float] = {}
-    if not len(rows):
-        return turns
     size = np.abs(following - rows)
+    if size.max(initial=0.0) < 0.75 * min(TURNS):
+        return turns
     high = np.maximum(rows.max(axis=0), following.max(axis=0))
     extent = high - np.minimum(rows.min(axis=0), following.min(axis=0))
     for turn in TURNS:
@@ -372,6 +372,11 @@ def _samples(x: Array, y: Array, clock: Clock, rate: float | None) -> Samples:
         else:
             time = clock.labels
     return Samples(x, y, frame, time, place[-1] - place)
+
+
+def _complete(values: Array) -> Mask:
+    """Return which rows have no NaN."""
+    return np.asarray(np.isfinite(values).all(axis=1))
 
 
 def _pieces(is_there: Mask, is_link: Mask) -> list[slice]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn import config_context
 from sklearn.utils import Bunch, check_array, check_random_state
 
 from .._utils._typing import Array
@@ -75,6 +76,9 @@ def make_pendulum(
         groups, sample_index : ndarray of shape (n_trajectories * n_samples,)
             Trajectory of each row, and place on it, as returned by
             :func:`~sklearn_koopman.trajectories.trajectory_pairs`.
+        time, frame, feature_names : ndarrays of shape (n_trajectories * n_samples,) \
+and list of str
+            Sample of each row, and names of its columns, as returned there, too.
         trajectories : list of ndarray of shape (n_samples + 1, 2)
             The measured states by trajectory.
         outputs : list of ndarray of shape (n_samples + 1,)
@@ -162,8 +166,10 @@ def make_pendulum(
     states += state_noise * rng.standard_normal(states.shape)
 
     trajectories, measured = list(states.swapaxes(0, 1)), list(outputs.T)
+    with config_context(transform_output="default"):  # arrays, as f and G take them
+        pairs = trajectory_pairs(trajectories, measured)
     return Bunch(
-        **trajectory_pairs(trajectories, measured),
+        **pairs,
         trajectories=trajectories,
         outputs=measured,
         f=f,
