@@ -76,9 +76,10 @@ def make_pendulum(
         groups, sample_index : ndarray of shape (n_trajectories * n_samples,)
             Trajectory of each row, and place on it, as returned by
             :func:`~sklearn_koopman.trajectories.trajectory_pairs`.
-        time, frame, feature_names : ndarrays of shape (n_trajectories * n_samples,) \
-and list of str
-            Sample of each row, and names of its columns, as returned there, too.
+        time, frame : ndarray of shape (n_trajectories * n_samples,)
+            The number of the sample of each row, as returned there.
+        feature_names : list of str
+            The names of the columns, as returned there.
         trajectories : list of ndarray of shape (n_samples + 1, 2)
             The measured states by trajectory.
         outputs : list of ndarray of shape (n_samples + 1,)
