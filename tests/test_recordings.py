@@ -258,6 +258,9 @@ def test_rows_dropped_from_a_frame_are_holes():
     assert_array_equal(split.frame, 100 + 3 * expected.frame)
     assert_allclose(split.time, expected.frame / 10)
     assert_array_equal(moved.loc[split.frame], split.X)
+    # A step that is no multiple of the usual one is a hole, too.
+    uneven = pd.DataFrame(counted(6), index=[0, 2, 4, 7, 9, 11])
+    assert_array_equal(trajectory_pairs(uneven, gaps="split").frame, [0, 2, 7, 9])
     # Every second frame is half of the rate.
     halves = [frame.fillna(0.0), frame.fillna(0.0)[::2]]
     with pytest.raises(ValueError, match=r"trajectory 1 has a hole in 14 places"):
@@ -400,6 +403,11 @@ def test_rates_must_agree():
         ValueError, match=r"^resample=50 needs the rate of trajectory 1"
     ):
         trajectory_pairs([frames[0], counted(9)], resample=50)
+    with pytest.raises(ValueError, match=r"from 100 to 100.5 Hz"):
+        trajectory_pairs([counted(9), counted(9)], rates=[100, 100.5])
+    # Read off time stamps, rates are equal within 1 %, and serve all trajectories.
+    near = trajectory_pairs([frames[0], stamped(np.arange(20) / 100.5), counted(9)])
+    assert_allclose(near.time[near.groups == 2], np.arange(8) / 100)
     equal = trajectory_pairs([counted(9), counted(9)], rates=[100, 100])
     assert_array_equal(equal.X, trajectory_pairs([counted(9)] * 2).X)
 
@@ -605,6 +613,7 @@ def test_a_wrap_across_a_gap_is_no_step():
         np.tile(np.arange(0.0, 6.0, 0.1), 5),  # a sawtooth
         np.tile(np.arange(0.0, 301.0, 5.0), 5),
         np.arange(1000.0),
+        np.concatenate([np.arange(0.0, 500, 10), np.arange(850.0, 1300, 10)]),
         np.cumsum(np.full(50, 300.0)),
         180 * np.sin(np.arange(200) * 1.7),
         np.random.default_rng(0).uniform(0, 2 * np.pi, 300),
@@ -626,6 +635,9 @@ def test_wraps_of_consecutive_rows():
     turns = find_wraps(both[:-1], both[1:])
     assert turns == {0: 360.0, 1: 2 * np.pi}
     assert find_wraps(both[:0], both[:0]) == {}
+    # Rounded, the ends of the circle are a little more than a turn apart.
+    rounded = np.array([3.0, 3.1, 3.1416, -3.1416, -3.1, -3.0])[:, None]
+    assert find_wraps(rounded[:-1], rounded[1:]) == {0: 2 * np.pi}
 
 
 # --- the past -----------------------------------------------------------------------
@@ -866,7 +878,9 @@ def test_an_index_that_restarts_needs_groups():
     stamps = several.set_axis(several.index / 100)
     keys = pd.MultiIndex.from_arrays([[1] * 12 + [2] * 8, several.index])
     y = np.zeros(20)
-    for data in ((several, y), (several[0],), (stamps,), (several.set_axis(keys),)):
+    by_frame = several.sort_index()
+    forms = several[0], stamps, several.set_axis(keys), by_frame
+    for data in ((several, y), *((form,) for form in forms)):
         with pytest.raises(ValueError, match=r"^the index restarts.*groups="):
             next(TrajectoryKFold(2).split(*data))
         assert (
