@@ -584,7 +584,7 @@ def test_angles_that_wrap_warn_once(turn, period, centred, speed):
     good = np.column_stack([smooth, smooth])
     bad = pd.DataFrame({"shank": smooth, "thigh": np.round(angle, 3)})
     recordings = [good, bad, bad]
-    message = rf"^trajectories\[1\] .*turn in column thigh \(1 more.*{period}\)"
+    message = rf"^trajectories\[1\] \(and 1 more arr.* column thigh: .*{period}\)"
     with pytest.warns(UserWarning, match=message) as caught:
         trajectory_pairs(recordings)
     assert len(caught) == 1
@@ -593,6 +593,10 @@ def test_angles_that_wrap_warn_once(turn, period, centred, speed):
         trajectory_pairs(good, angle)
     with pytest.warns(UserWarning, match=r"^recording\[0\] .*in column x1:"):
         current_states(np.column_stack([smooth, angle]))
+    # Each column is named with its own turn.
+    other = angle * (2 * np.pi / 360 if turn == 360 else 360 / (2 * np.pi))
+    with pytest.warns(UserWarning, match=r"^trajectories\[0\] \(and 1 more"):
+        trajectory_pairs(np.column_stack([angle, other]))
     # The remedy, for states and outputs.
     unwrapped = np.unwrap(angle, axis=0, period=turn)
     trajectory_pairs(np.column_stack([smooth, unwrapped]), unwrapped)
