@@ -316,8 +316,10 @@ default=None
         scorer = check_scoring(IdentityRegressor(), scoring=self.scoring)
         if self.cv is None and self.scoring is None:
             scorer = negative_squared_errors
-        # As they were given: the index of a DataFrame may tell the trials.
-        splits = self._splits(given, given_y, groups, len(X))
+        # A DataFrame as it was given: its index may tell the trials.
+        rows = given if hasattr(given, "iloc") else X
+        targets = given_y if hasattr(given_y, "iloc") else y
+        splits = self._splits(rows, targets, groups)
         centers, points = self.centers, X
         if hasattr(centers, "fit") and not isinstance(centers, type):
             # Fitted once: the winner has the centres that it was chosen with.
@@ -493,14 +495,14 @@ default=None
                 pairs[i] = beta, pairs[i][1]
         return pairs, kernels
 
-    def _splits(self, X: Any, y: Any, groups: Any, n_rows: int) -> list[Split]:
+    def _splits(self, X: Any, y: Any, groups: Any) -> list[Split]:
         cv = LeaveOneOut() if self.cv is None else self.cv
         splits: list[Split] = []
-        every = np.arange(n_rows)
+        every = np.arange(len(X))
         for train, test in check_cv(cv, y).split(X, y, groups):
             train, test = every[train], every[test]
             out = np.delete(every, train)
-            n_train = n_rows - len(out)
+            n_train = len(X) - len(out)
             if not n_train or not len(test) or n_train < len(train):
                 raise ValueError(
                     f"Fold {len(splits)} of cv={self.cv!r} has {len(test)} test rows "

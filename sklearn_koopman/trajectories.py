@@ -486,6 +486,49 @@ def match_successors(X: Any, y: Any) -> tuple[Indices, Indices] | None:
     return best
 
 
+def find_trials(X: Any, y: Any) -> Array | None:
+    """Find the trial of each row by an index.
+
+    Parameters
+    ----------
+    X : array-like of shape (n_samples, n_features)
+        The states.
+    y : array-like or None
+        The outputs, whose index counts where X has none.
+
+    Returns
+    -------
+    trials : ndarray of shape (n_samples,), or None
+        The level "trial" of the index. None if there is no such level, or only one
+        trial in it.
+
+    Raises
+    ------
+    ValueError
+        If the index shows several trajectories, but has no such level.
+    """
+    trials = index_level("trial", X, y)
+    if trials is not None:
+        return trials if (trials != trials[0]).any() else None
+    indices = (getattr(data, "index", None) for data in (X, y))
+    index = next((i for i in indices if hasattr(i, "get_level_values")), None)
+    if index is None:
+        return None
+    if index.nlevels > 1:
+        shows_several = index.droplevel(-1).nunique() > 1
+    else:
+        is_clock = index.dtype.kind in "iufmM"
+        rises = index.is_monotonic_increasing and index.is_unique
+        shows_several = is_clock and not rises
+    if shows_several:
+        raise ValueError(
+            "the index restarts or repeats, as it does for several trajectories one "
+            "after the other; pass the trajectory of each row as groups=, or drop an "
+            "index that means nothing by reset_index(drop=True)."
+        )
+    return None
+
+
 class TrajectoryKFold(BaseCrossValidator):
     """K-fold cross-validation that keeps trajectories, or blocks of one, together.
 
@@ -509,8 +552,9 @@ class TrajectoryKFold(BaseCrossValidator):
     gap : int, default=0
         Number of rows dropped from the training set on both sides of a block. With a
         lag and delay-embedded states, rows closer than
-        ``lag + (delays - 1) * delay_step`` share samples; a `gap` of this size keeps
-        them apart. It is not used with `groups`, as trajectories share no samples.
+        ``lag + (delays - 1) * delay_step`` (for offsets, the lag and the largest one)
+        share samples; a `gap` of this size keeps them apart. It is not used with
+        `groups`, as trajectories share no samples.
 
     See Also
     --------
@@ -573,7 +617,7 @@ class TrajectoryKFold(BaseCrossValidator):
         check_integer(self.n_splits, "n_splits", 2)
         check_integer(self.gap, "gap", 0)
         if groups is None:
-            groups = _trials(X, y)
+            groups = find_trials(X, y)
         if groups is not None:
             yield from GroupKFold(self.n_splits).split(X, y, groups)
             return
@@ -604,27 +648,3 @@ class TrajectoryKFold(BaseCrossValidator):
             The number of folds.
         """
         return self.n_splits
-
-
-def _trials(X: Any, y: Any) -> Array | None:
-    """Return the trial of each row by an index; None for one trajectory."""
-    trials = index_level("trial", X, y)
-    if trials is not None:
-        return trials if (trials != trials[0]).any() else None
-    indices = (getattr(data, "index", None) for data in (X, y))
-    index = next((i for i in indices if hasattr(i, "get_level_values")), None)
-    if index is None:
-        return None
-    if index.nlevels > 1:
-        shows_several = index.droplevel(-1).nunique() > 1
-    else:
-        is_clock = index.dtype.kind in "iufmM"
-        rises = index.is_monotonic_increasing and index.is_unique
-        shows_several = is_clock and not rises
-    if shows_several:
-        raise ValueError(
-            "the index restarts or repeats, as it does for several trajectories one "
-            "after the other; pass the trajectory of each row as groups=, or drop an "
-            "index that means nothing by reset_index(drop=True)."
-        )
-    return None

@@ -14,6 +14,7 @@ from sklearn.linear_model import LinearRegression
 
 from sklearn_koopman import (
     KernelEDMD,
+    KoopmanKernelRegressorCV,
     SeparatedCenterSelector,
     TrajectoryKFold,
     current_states,
@@ -23,6 +24,8 @@ from sklearn_koopman._utils._embedding import embed
 from sklearn_koopman._utils._frames import index_level
 from sklearn_koopman._utils._recordings import find_wraps
 from sklearn_koopman._utils._validation import refuse_masked
+from sklearn_koopman.datasets import make_pendulum, make_walking
+from sklearn_koopman.diagnostics import calibration_study
 
 NAMES = ["X", "y", "X_next", "groups", "sample_index", "time", "frame"]
 
@@ -255,6 +258,9 @@ def test_rows_dropped_from_a_frame_are_holes():
     assert_array_equal(split.frame, 100 + 3 * expected.frame)
     assert_allclose(split.time, expected.frame / 10)
     assert_array_equal(moved.loc[split.frame], split.X)
+    # A step that is no multiple of the usual one is a hole, too.
+    uneven = pd.DataFrame(counted(6), index=[0, 2, 4, 7, 9, 11])
+    assert_array_equal(trajectory_pairs(uneven, gaps="split").frame, [0, 2, 7, 9])
     # Every second frame is half of the rate.
     halves = [frame.fillna(0.0), frame.fillna(0.0)[::2]]
     with pytest.raises(ValueError, match=r"trajectory 1 has a hole in 14 places"):
@@ -397,6 +403,11 @@ def test_rates_must_agree():
         ValueError, match=r"^resample=50 needs the rate of trajectory 1"
     ):
         trajectory_pairs([frames[0], counted(9)], resample=50)
+    with pytest.raises(ValueError, match=r"from 100 to 100.5 Hz"):
+        trajectory_pairs([counted(9), counted(9)], rates=[100, 100.5])
+    # Read off time stamps, rates are equal within 1 %, and serve all trajectories.
+    near = trajectory_pairs([frames[0], stamped(np.arange(20) / 100.5), counted(9)])
+    assert_allclose(near.time[near.groups == 2], np.arange(8) / 100)
     equal = trajectory_pairs([counted(9), counted(9)], rates=[100, 100])
     assert_array_equal(equal.X, trajectory_pairs([counted(9)] * 2).X)
 
@@ -573,7 +584,7 @@ def test_angles_that_wrap_warn_once(turn, period, centred, speed):
     good = np.column_stack([smooth, smooth])
     bad = pd.DataFrame({"shank": smooth, "thigh": np.round(angle, 3)})
     recordings = [good, bad, bad]
-    message = rf"^trajectories\[1\] .*turn in column thigh \(1 more.*{period}\)"
+    message = rf"^trajectories\[1\] \(and 1 more arr.* column thigh: .*{period}\)"
     with pytest.warns(UserWarning, match=message) as caught:
         trajectory_pairs(recordings)
     assert len(caught) == 1
@@ -582,6 +593,10 @@ def test_angles_that_wrap_warn_once(turn, period, centred, speed):
         trajectory_pairs(good, angle)
     with pytest.warns(UserWarning, match=r"^recording\[0\] .*in column x1:"):
         current_states(np.column_stack([smooth, angle]))
+    # Each column is named with its own turn.
+    other = angle * (2 * np.pi / 360 if turn == 360 else 360 / (2 * np.pi))
+    with pytest.warns(UserWarning, match=r"^trajectories\[0\] \(and 1 more"):
+        trajectory_pairs(np.column_stack([angle, other]))
     # The remedy, for states and outputs.
     unwrapped = np.unwrap(angle, axis=0, period=turn)
     trajectory_pairs(np.column_stack([smooth, unwrapped]), unwrapped)
@@ -602,6 +617,7 @@ def test_a_wrap_across_a_gap_is_no_step():
         np.tile(np.arange(0.0, 6.0, 0.1), 5),  # a sawtooth
         np.tile(np.arange(0.0, 301.0, 5.0), 5),
         np.arange(1000.0),
+        np.concatenate([np.arange(0.0, 500, 10), np.arange(850.0, 1300, 10)]),
         np.cumsum(np.full(50, 300.0)),
         180 * np.sin(np.arange(200) * 1.7),
         np.random.default_rng(0).uniform(0, 2 * np.pi, 300),
@@ -623,6 +639,9 @@ def test_wraps_of_consecutive_rows():
     turns = find_wraps(both[:-1], both[1:])
     assert turns == {0: 360.0, 1: 2 * np.pi}
     assert find_wraps(both[:0], both[:0]) == {}
+    # Rounded, the ends of the circle are a little more than a turn apart.
+    rounded = np.array([3.0, 3.1, 3.1416, -3.1416, -3.1, -3.0])[:, None]
+    assert find_wraps(rounded[:-1], rounded[1:]) == {0: 2 * np.pi}
 
 
 # --- the past -----------------------------------------------------------------------
@@ -833,13 +852,39 @@ def test_folds_leave_out_the_trials_of_the_index():
     assert_array_equal(np.concatenate(tests), range(len(one)))
 
 
+def test_searches_and_studies_leave_out_the_trials_of_the_index():
+    walking = make_walking(3, n_strides=2, rate=50, random_state=0)
+    angles = [pd.DataFrame(x, columns=["hip", "knee"]) for x in walking.trajectories]
+    pairs = trajectory_pairs(angles, walking.outputs, lag=4, delays=2)
+    X, y = pairs.X.to_numpy(), pairs.y.to_numpy()
+    search = KoopmanKernelRegressorCV(betas=[1.0], cv=TrajectoryKFold(3))
+    expected = search.fit(X, y, groups=pairs.groups).best_score_
+    assert search.fit(X, y).best_score_ > expected + 1e-3
+    for data in ((pairs.X, pairs.y), (pairs.X, y), (X, pairs.y)):
+        assert search.fit(*data).best_score_ == expected
+    model = search.best_estimator_
+    for cv in (None, 3):
+        study = calibration_study(model, pairs.X, y, cv=cv)
+        own = calibration_study(model, X, y, groups=pairs.groups, cv=cv)
+        assert study.ratio == own.ratio
+
+
+def test_datasets_keep_their_arrays():
+    with config_context(transform_output="pandas"):
+        data = make_pendulum(20)
+        assert type(data.X) is np.ndarray
+        assert_allclose(data.f(data.X), data.X_next)
+
+
 def test_an_index_that_restarts_needs_groups():
     X = pd.DataFrame(counted(20))
     several = pd.concat([X[:12], X[:8]])
     stamps = several.set_axis(several.index / 100)
     keys = pd.MultiIndex.from_arrays([[1] * 12 + [2] * 8, several.index])
     y = np.zeros(20)
-    for data in ((several, y), (several[0],), (stamps,), (several.set_axis(keys),)):
+    by_frame = several.sort_index()
+    forms = several[0], stamps, several.set_axis(keys), by_frame
+    for data in ((several, y), *((form,) for form in forms)):
         with pytest.raises(ValueError, match=r"^the index restarts.*groups="):
             next(TrajectoryKFold(2).split(*data))
         assert (

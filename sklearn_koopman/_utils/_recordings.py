@@ -178,40 +178,26 @@ def read_recordings(
     if outputs is not None:
         output_names = _column_names(targets, measured[0], "y")
     recordings = []
-    wraps: list[tuple[str, str, float]] = []
+    wraps: list[tuple[str, list[str], float]] = []
     for number, (x, y) in enumerate(zip(states, measured, strict=True)):
         is_hole = clocks[number].steps > HOLE
-        if gaps == "raise" and is_hole.any():
-            first = int(is_hole.argmax())
-            before, after = clocks[number].labels[[first, first + 1]]
-            raise ValueError(
-                f"the index of trajectory {number} has a hole in {is_hole.sum()} "
-                f"places, first from {before:g} to {after:g}; pass gaps='split', fill "
-                "it by reindexing and kinematics.fill_gaps, or drop an index that does "
-                "not count frames or seconds by reset_index(drop=True)."
-            )
+        if gaps == "raise":
+            _refuse_holes(clocks[number], is_hole, number)
         columns = y.reshape(len(y), -1)
-        is_there = np.asarray(np.isfinite(np.column_stack([x, columns])).all(axis=1))
+        is_there = _complete(x) & _complete(columns)
         is_link = is_there[1:] & is_there[:-1] & ~is_hole
         sources = [(name, names, x)]
         if outputs is not None:
             sources.append(("outputs", output_names, columns))
-        for source, labelled, values in sources:
+        for source, own_names, values in sources:
             turns = find_wraps(values[:-1][is_link], values[1:][is_link])
-            if turns:
-                shown = ", ".join(labelled[column] for column in turns)
-                wraps.append((f"{source}[{number}]", shown, min(turns.values())))
+            for turn in {*turns.values()}:
+                shown = [own_names[column] for column in turns if turns[column] == turn]
+                wraps.append((f"{source}[{number}]", shown, turn))
         samples = _samples(x, y, clocks[number], known[number])
         recordings.append(Recording(samples, _pieces(is_there, is_link)))
     if wraps:
-        label, shown, turn = wraps[0]
-        others = f" ({len(wraps) - 1} more arrays do)" if wraps[1:] else ""
-        period = "360" if turn == 360 else "2 * np.pi"
-        warn(
-            f"{label} jumps by almost a full turn in column {shown}{others}: these "
-            "angles wrap, and the jumps are no motion. Unwrap them by np.unwrap(..., "
-            f"axis=0, period={period})."
-        )
+        _warn_of_wraps(*wraps[0], len(wraps) - 1)
     is_pandas = any(hasattr(item, "iloc") for item in items)
     return Recordings(recordings, names, output_names, is_pandas)
 
@@ -283,9 +269,9 @@ def find_wraps(rows: Array, following: Array) -> dict[int, float]:
         The full turn, 360 or 2 pi, of each column that wraps.
     """
     turns: dict[int, float] = {}
-    if not len(rows):
-        return turns
     size = np.abs(following - rows)
+    if size.max(initial=0.0) < 0.75 * min(TURNS):
+        return turns
     high = np.maximum(rows.max(axis=0), following.max(axis=0))
     extent = high - np.minimum(rows.min(axis=0), following.min(axis=0))
     for turn in TURNS:
@@ -297,6 +283,30 @@ def find_wraps(rows: Array, following: Array) -> dict[int, float]:
         wraps &= (extent <= 1.01 * turn) & (around <= 2 * usual)
         turns |= dict.fromkeys(np.flatnonzero(wraps).tolist(), turn)
     return turns
+
+
+def _warn_of_wraps(label: str, columns: list[str], turn: float, n_more: int) -> None:
+    """Warn of angles that wrap in some columns of one array, and how to mend them."""
+    others = f" (and {n_more} more arrays)" if n_more else ""
+    period = "360" if turn == 360 else "2 * np.pi"
+    warn(
+        f"{label}{others} jumps by almost a full turn in column {', '.join(columns)}: "
+        "these angles wrap, and the jumps are no motion. Unwrap them by np.unwrap(..., "
+        f"axis=0, period={period})."
+    )
+
+
+def _refuse_holes(clock: Clock, is_hole: Mask, number: int) -> None:
+    """Refuse an index that leaves out samples."""
+    if is_hole.any():
+        first = int(is_hole.argmax())
+        before, after = clock.labels[[first, first + 1]]
+        raise ValueError(
+            f"the index of trajectory {number} has a hole in {is_hole.sum()} places, "
+            f"first from {before:g} to {after:g}; pass gaps='split', fill it by "
+            "reindexing and kinematics.fill_gaps, or drop an index that does not count "
+            "frames or seconds by reset_index(drop=True)."
+        )
 
 
 def _refuse_axes(shape: tuple[int, ...], name: str) -> None:
@@ -372,6 +382,11 @@ def _samples(x: Array, y: Array, clock: Clock, rate: float | None) -> Samples:
         else:
             time = clock.labels
     return Samples(x, y, frame, time, place[-1] - place)
+
+
+def _complete(values: Array) -> Mask:
+    """Return which rows have no NaN."""
+    return np.asarray(np.isfinite(values).all(axis=1))
 
 
 def _pieces(is_there: Mask, is_link: Mask) -> list[slice]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn import config_context
 from sklearn.utils import Bunch, check_array, check_random_state
 
 from .._utils._typing import Array
@@ -75,6 +76,10 @@ def make_pendulum(
         groups, sample_index : ndarray of shape (n_trajectories * n_samples,)
             Trajectory of each row, and place on it, as returned by
             :func:`~sklearn_koopman.trajectories.trajectory_pairs`.
+        time, frame : ndarray of shape (n_trajectories * n_samples,)
+            The number of the sample of each row, as returned there.
+        feature_names : list of str
+            The names of the columns, as returned there.
         trajectories : list of ndarray of shape (n_samples + 1, 2)
             The measured states by trajectory.
         outputs : list of ndarray of shape (n_samples + 1,)
@@ -162,8 +167,10 @@ def make_pendulum(
     states += state_noise * rng.standard_normal(states.shape)
 
     trajectories, measured = list(states.swapaxes(0, 1)), list(outputs.T)
+    with config_context(transform_output="default"):  # arrays, as f and G take them
+        pairs = trajectory_pairs(trajectories, measured)
     return Bunch(
-        **trajectory_pairs(trajectories, measured),
+        **pairs,
         trajectories=trajectories,
         outputs=measured,
         f=f,

@@ -13,7 +13,7 @@ from sklearn.utils import Bunch, indexable
 from .._utils._pipeline import transformed, unwrap
 from .._utils._typing import Array
 from .._utils._validation import check_integer, check_positive, refuse_masked
-from ..trajectories import TrajectoryKFold
+from ..trajectories import TrajectoryKFold, find_trials
 
 
 def calibration_study(
@@ -38,7 +38,8 @@ def calibration_study(
     y : array-like of shape (n_samples,) or (n_samples, n_outputs)
         Their outputs one step later.
     groups : array-like of shape (n_samples,), default=None
-        The trajectory of each row, so that whole trajectories are left out.
+        The trajectory of each row, so that whole trajectories are left out. None takes
+        the level "trial" of the index of X, else of y, where `cv` is None or an int.
     cv : int, cross-validation generator or iterable, default=None
         How rows are left out. An integer is the number of folds of
         :class:`~sklearn_koopman.TrajectoryKFold`; None means up to five.
@@ -105,6 +106,8 @@ def calibration_study(
     levels = check_positive(levels, "levels")
     if levels.max() >= 1:
         raise ValueError(f"levels must lie between 0 and 1, got {levels.max():g}.")
+    if groups is None and (cv is None or isinstance(cv, Integral)):
+        groups = find_trials(X, y)
     if cv is None:
         cv = 5 if groups is None else min(5, len(np.unique(groups)))
     if isinstance(cv, Integral):
