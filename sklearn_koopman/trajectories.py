@@ -292,8 +292,9 @@ def current_states(
     -------
     X : ndarray or DataFrame of shape (n_states, n_columns)
         The states in the order of time, at most `lag` of them, fewer where the
-        recording is short or a gap leaves some out. A DataFrame, indexed by `frame`,
-        where :func:`trajectory_pairs` would return one.
+        recording is short or a gap leaves some out. A DataFrame where
+        :func:`trajectory_pairs` would return one, indexed by "frame", or by "time" in
+        seconds after resampling.
 
     Raises
     ------
@@ -334,12 +335,13 @@ def current_states(
             f"recording holds {len(recordings)} recordings; call current_states for "
             "each of them."
         )
-    rows, frames = [], []
+    rows, labels = [], []
     for piece in recordings[0].cut(resample, from_end=True):
         is_current = piece.remaining[offsets[-1] :] < lag
         state = _embedded(piece, offsets, embedding, outputs_in_state)
         rows.append(state[is_current])
-        frames.append(piece.frame[offsets[-1] :][is_current])
+        label = piece.frame if resample is None else piece.time
+        labels.append(label[offsets[-1] :][is_current])
     X = np.vstack(rows) if rows else np.empty((0, 0))
     if len(X) == 0:
         raise ValueError(

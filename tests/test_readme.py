@@ -21,6 +21,13 @@ def test_the_main_job_runs_as_printed():
     ).X[:, :2]
     persistence = np.sqrt(np.mean((now - pairs.y) ** 2))
     assert -names["search"].best_score_ < 0.1 * persistence
+    # A second of gait with gaps, from the angles alone; the hip moves by 30 degrees.
+    fast = names["trials"][2].trajectories[0]
+    ahead = fast[999 + 20 * np.arange(1, 11)]
+    assert np.degrees(np.abs(names["angles"][0] - ahead)[:, 0].max()) < 3
+    assert names["filled"].tolist() == [120, 121, 122]
+    assert len(names["now"]) == 10
+    assert names["scores"].min() > 0.99
     # The synthetic trials have 0.7 to 1.1 strides a second.
     strides = np.abs(names["trusted"][np.abs(names["trusted"]) > 0.1])
     assert len(strides) > 0
