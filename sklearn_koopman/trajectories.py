@@ -354,7 +354,9 @@ def current_states(
     import pandas as pd
 
     features = _feature_names(names, output_names, offsets, embedding, outputs_in_state)
-    return pd.DataFrame(X, pd.Index(np.concatenate(frames), name="frame"), features)
+    name = "frame" if resample is None else "time"
+    index = pd.Index(np.concatenate(labels), name=name)
+    return pd.DataFrame(X, index, features)
 
 
 def _check_embedding(embedding: Any, outputs: Any, outputs_in_state: Any) -> None:

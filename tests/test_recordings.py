@@ -895,3 +895,12 @@ def test_an_index_that_restarts_needs_groups():
     for good in (X, X.set_axis(range(5, 45, 2)), X.set_axis(list("ab") * 10)):
         [(_, test), _] = TrajectoryKFold(2).split(good)
         assert_array_equal(test, range(10))
+
+
+def test_current_states_after_resampling_are_indexed_by_time():
+    """Counted back from the last sample, new samples have no whole frame numbers."""
+    line = pd.DataFrame({"hip": np.arange(10.0)})  # 200 Hz, to 0.045 s
+    now = current_states(line, rates=200, resample=100, lag=3)
+    assert now.index.name == "time"
+    assert_allclose(now.index, [0.025, 0.035, 0.045])
+    assert_allclose(now["hip"], [5.0, 7.0, 9.0])
