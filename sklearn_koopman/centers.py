@@ -17,10 +17,10 @@ from sklearn.base import (
 )
 from sklearn.utils import check_array
 from sklearn.utils.metaestimators import available_if
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted, has_fit_parameter, validate_data
 
 from ._selection import nearest_centers, select_centers
-from ._utils._rows import distinct_rows
+from ._utils._rows import distinct_rows, drop_absent
 from ._utils._typing import Array, Indices
 from ._utils._validation import (
     check_distances,
@@ -154,7 +154,7 @@ class SeparatedCenterSelector(
         self.order = order
         self.max_centers = max_centers
 
-    def fit(self, X: Any, y: Any = None) -> Self:
+    def fit(self, X: Any, y: Any = None, sample_weight: Any = None) -> Self:
         """Select the centres.
 
         Parameters
@@ -163,6 +163,9 @@ class SeparatedCenterSelector(
             The states, in the order of time where `order` is "sequential".
         y : object, default=None
             Not used.
+        sample_weight : array-like of shape (n_samples,), default=None
+            How much each sample counts: a number of at least 0. One of weight 0 is
+            absent: it is no centre and needs none nearby. Other weights do not matter.
 
         Returns
         -------
@@ -172,13 +175,14 @@ class SeparatedCenterSelector(
         Raises
         ------
         ValueError
-            If a parameter is outside its range, if `X` is no finite 2-D array, or if
-            its values are too large or too small to be squared.
+            If a parameter is outside its range, if `X` is no finite 2-D array, if
+            its values are too large or too small to be squared, or if weights are
+            negative, or all of them zero.
         """
-        return self._extend(X, {})
+        return self._extend(X, sample_weight, {})
 
     @available_if(_selects_in_batches)
-    def partial_fit(self, X: Any, y: Any = None) -> Self:
+    def partial_fit(self, X: Any, y: Any = None, sample_weight: Any = None) -> Self:
         """Select further centres from the next batch of samples.
 
         The centres are those of one `fit` to all batches in a row, whatever the size of
@@ -190,6 +194,8 @@ class SeparatedCenterSelector(
             The states that follow those of the calls before, of `fit` included.
         y : object, default=None
             Not used.
+        sample_weight : array-like of shape (n_samples,), default=None
+            How much each sample counts, as in `fit`.
 
         Returns
         -------
@@ -219,9 +225,11 @@ class SeparatedCenterSelector(
         >>> selector.labels_, selector.n_samples_seen_
         (array([1, 1, 2]), 5)
         """
-        return self._extend(X, vars(self))
+        return self._extend(X, sample_weight, vars(self))
 
-    def _extend(self, given: Any, fitted: Mapping[str, Any]) -> Self:
+    def _extend(
+        self, given: Any, sample_weight: Any, fitted: Mapping[str, Any]
+    ) -> Self:
         """Select from a batch of samples, given the attributes after earlier ones."""
         is_first = "n_samples_seen_" not in fitted
         # Attributes are set last: a fit that fails leaves the selector as it was.
@@ -232,9 +240,15 @@ class SeparatedCenterSelector(
             check_integer(self.max_centers, "max_centers", 1)
         known = fitted.get("cluster_centers_", np.empty((0, X.shape[1])))
         trees = fitted.get("_trees", [])  # absent from a pickle
-        rows, self.labels_, gap, fill, self._trees = select_centers(
-            X, float(self.separation), self.order, self.max_centers, known, trees
+        _, numbers, present, _ = drop_absent(sample_weight, X, X)
+        rows, labels, gap, fill, trees = select_centers(
+            present, float(self.separation), self.order, self.max_centers, known, trees
         )
+        if len(present) < len(X):
+            check_magnitude(X, smallest=0)
+            _, labels = nearest_centers(X, trees)
+        rows = numbers[rows]
+        self.labels_, self._trees = labels, trees
         if is_first:
             validate_data(self, given, skip_check_array=True)
         n_seen = fitted.get("n_samples_seen_", 0)
@@ -306,7 +320,7 @@ class SeparatedCenterSelector(
 
 
 def choose_centers(
-    centers: Any, X: Array, y: Any, *, among_rows: bool
+    centers: Any, X: Array, y: Any, weights: Array | None = None, *, among_rows: bool
 ) -> tuple[Array, Indices | None]:
     """Return the centres for the parameter `centers` of an estimator.
 
@@ -318,6 +332,8 @@ def choose_centers(
         The samples.
     y : ndarray
         The outputs, which some estimators need.
+    weights : ndarray of shape (n_samples,), default=None
+        The weights of the rows, for estimators that take any.
     among_rows : bool
         Whether every centre has to be a row of `X`.
 
@@ -341,7 +357,9 @@ def choose_centers(
             f"'precomputed', got {centers!r}."
         )
     if hasattr(centers, "fit"):
-        selector = clone(centers).fit(X, y)
+        weighed = weights is not None and has_fit_parameter(centers, "sample_weight")
+        selector = clone(centers)
+        selector.fit(X, y, **({"sample_weight": weights} if weighed else {}))
         if not hasattr(selector, "cluster_centers_"):
             raise ValueError(
                 f"centers={centers!r} has no cluster_centers_ after fit; use "

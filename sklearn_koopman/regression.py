@@ -10,6 +10,7 @@ from sklearn.utils import check_X_y
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from ._linalg._fit import make_nugget
 from ._linalg._systems import (
     METHODS,
     SOLVERS,
@@ -26,6 +27,7 @@ from ._matrices._sections import (
     PrecomputedSections,
     Sections,
 )
+from ._regression._centers import resolve_centers
 from ._regression._error_bound import (
     check_norms,
     error_bound,
@@ -40,7 +42,7 @@ from ._regression._partial_fit import (
     check_can_grow,
     start_least_squares,
 )
-from ._utils._rows import AveragedOutputs, average_equal_rows
+from ._utils._rows import AveragedOutputs, drop_absent, total_weight
 from ._utils._storage import StoresCentersOnce
 from ._utils._typing import Array, Indices
 from ._utils._validation import (
@@ -50,8 +52,7 @@ from ._utils._validation import (
     check_magnitude,
     check_parameters,
 )
-from .centers import choose_centers, rows_at_distance_zero
-from .kernels import as_kernel, is_isotropic
+from .kernels import as_kernel
 from .solvers import ConjugateGradient, check_solver
 
 __all__ = ["KoopmanKernelRegressor"]
@@ -106,7 +107,7 @@ class KoopmanKernelRegressor(
         Which outputs the estimate is made from.
 
         - "interpolation": those of the centres, which have to be rows of `X` ([1]_).
-          Of equal rows, the first one counts. Exact for outputs without noise.
+          Of equal rows, the mean output counts. Exact for outputs without noise.
         - "least_squares": those of all rows. Averages over noise, and over what the
           states do not determine.
 
@@ -255,6 +256,7 @@ default="auto"
     dual_coef_: Array
     _averages: tuple[Array, Array, Array]
     _n_rows: int
+    _weight: float
 
     def __init__(
         self,
@@ -277,7 +279,7 @@ default="auto"
         self.solver = solver
         self.n_jobs = n_jobs
 
-    def fit(self, X: Any, y: Any) -> Self:
+    def fit(self, X: Any, y: Any, sample_weight: Any = None) -> Self:
         """Choose the centres and compute the coefficients.
 
         Parameters
@@ -287,6 +289,9 @@ default="auto"
             ``centers="precomputed"``.
         y : array-like of shape (n_samples,) or (n_samples, n_outputs)
             The outputs one step after each row.
+        sample_weight : array-like of shape (n_samples,), default=None
+            How much each row counts, as if it occurred so many times: numbers of at
+            least 0. A row of weight 0 is absent. None means 1 for every row.
 
         Returns
         -------
@@ -296,8 +301,8 @@ default="auto"
         Raises
         ------
         ValueError
-            If a parameter is outside its range; if a centre is no row of `X` where its
-            output is needed; if equal rows have different outputs where every row is
+            If a parameter is outside its range; if the weights are negative, or all
+            zero; if a centre is no row of `X` where its output is needed; if equal rows have different outputs where every row is
             interpolated; if least squares with ``alpha=0`` has fewer rows than
             centres, or rows that do not determine the coefficients; if least squares
             has a linear trend that rows determine, but the centres do not; if no
@@ -314,10 +319,13 @@ default="auto"
         given = X
         X, y = self._check_data(X, y)
         self._check_parameters()
-        sections, rows, averages = self._resolve_centers(X, y)
+        n_rows = len(X)
+        weights, numbers, X, y = drop_absent(sample_weight, X, y)
+        sections, rows, averages = self._resolve_centers(X, y, weights, numbers)
         outputs, degree = y.reshape(len(y), -1), DEGREES[self.trend]
         if averages is not None:
-            nugget = self.alpha / averages.counts
+            diagonal = sections.diagonal(sections.points)
+            nugget = make_nugget(self.alpha, averages.counts, diagonal)
             system = make_system(
                 sections, nugget, degree, self.solver, n_jobs=self.n_jobs
             )
@@ -325,7 +333,9 @@ default="auto"
                 fit = system.interpolate(averages.means)
             else:
                 data = averages.means, X, outputs
-                fit = interpolate_every_row(system, *data, self.alpha, self.n_jobs)
+                fit = interpolate_every_row(
+                    system, *data, self.alpha, self.n_jobs, weights
+                )
             if len(system.kept) < len(nugget):
                 averages = keep_averages(averages, fit, system.kept, sections.points)
         else:
@@ -334,16 +344,17 @@ default="auto"
             system = make_system(
                 sections, nugget, degree, self.solver, extent=extent, n_jobs=self.n_jobs
             )
-            fit = system.least_squares(X, outputs, self.alpha, self.n_jobs)
+            fit = system.least_squares(X, outputs, self.alpha, self.n_jobs, weights)
         # Attributes are set last: a fit that fails leaves the estimator as it was.
         validate_data(self, given, y, skip_check_array=True)
-        kept = None if rows is None else rows[system.kept]
-        estimate = Estimate(system, fit, kept, averages, len(X))
+        kept = None if rows is None else numbers[rows[system.kept]]
+        weight = total_weight(X, weights)
+        estimate = Estimate(system, fit, kept, averages, n_rows, weight)
         self._store(estimate, y.shape[1:])
         return self
 
     @available_if(check_can_grow)
-    def partial_fit(self, X: Any, y: Any) -> Self:
+    def partial_fit(self, X: Any, y: Any, sample_weight: Any = None) -> Self:
         """Learn from a further batch of rows, as if all had been given to one `fit`.
 
         Interpolation adds the rows that become centres to the Cholesky factor: with
@@ -358,6 +369,8 @@ default="auto"
             The states.
         y : array-like of shape (n_samples,) or (n_samples, n_outputs)
             The outputs one step after each row.
+        sample_weight : array-like of shape (n_samples,), default=None
+            How much each row counts, as in `fit`.
 
         Returns
         -------
@@ -394,7 +407,7 @@ default="auto"
         """
         started = hasattr(self, "dual_coef_")
         if not started and self._interpolates_centers:
-            return self.fit(X, y)
+            return self.fit(X, y, sample_weight)
         given = X
         if started:
             validate_data(self, given, reset=False, skip_check_array=True)
@@ -402,15 +415,21 @@ default="auto"
         self._check_parameters()
         if started:
             check_batch(self, self._direct_system(), y)
-        outputs, growth = y.reshape(len(y), -1), getattr(self, "_growth", None)
+        n_given = len(X)
+        weights, numbers, X, y = drop_absent(sample_weight, X, y)
+        batch = X, y.reshape(len(y), -1), weights
+        growth = getattr(self, "_growth", None)
         if self._interpolates_centers:
             system, averages = self._direct_system(), AveragedOutputs(*self._averages)
-            estimate = add_centers(system, averages, self._n_rows, self, X, outputs)
+            before, n_rows = self._n_rows, self._n_rows + n_given
+            weight = getattr(self, "_weight", before) + total_weight(X, weights)
+            place = numbers + before, n_rows, weight
+            estimate = add_centers(system, averages, self, *batch, *place)
         elif growth is not None:
-            estimate = add_rows(growth, self.alpha, X, outputs)
+            estimate = add_rows(growth, self.alpha, *batch)
         else:
-            sections, _, _ = self._resolve_centers(X, y)
-            growth, estimate = start_least_squares(sections, self, X, outputs)
+            sections, _, _ = self._resolve_centers(X, y, weights, numbers)
+            growth, estimate = start_least_squares(sections, self, *batch)
         # Attributes are set last: a batch that fails is not counted.
         if not started:
             validate_data(self, given, y, skip_check_array=True)
@@ -643,39 +662,12 @@ default="auto"
             )
 
     def _resolve_centers(
-        self, X: Array, y: Array
+        self, X: Array, y: Array, weights: Array | None, numbers: Indices
     ) -> tuple[Sections, Indices | None, AveragedOutputs | None]:
-        """Return the sections of the centres, their rows, and the outputs there.
-
-        The outputs are None where they are not interpolated.
-        """
+        """Return the sections of the centres, their rows, and the outputs there."""
         n_features = None if self._is_precomputed else X.shape[1]
         kernel = as_kernel(self.kernel, self.beta, n_features)
-        interpolates = self._interpolates_centers
-        outputs = y.reshape(len(y), -1)
-        once, none = np.ones(len(X)), np.zeros(outputs.shape[1])
-        sections: Sections
-        rows: Indices | None
-        if self.centers is None:
-            # Later batches need them, whatever becomes of y.
-            averages = AveragedOutputs(outputs.copy(), once, none)
-            exact = self.method == "interpolation" and self.alpha == 0
-            rows, averages = average_equal_rows(X, averages, exact, np.arange(len(X)))
-            return KernelSections(kernel, X[rows]), rows, averages
-        if self._is_precomputed:
-            if not is_isotropic(kernel):
-                raise ValueError(
-                    f"kernel={kernel!r} does not depend on distances alone, which "
-                    "centers='precomputed' needs; pass the states and a selector."
-                )
-            rows = rows_at_distance_zero(X)
-            sections = PrecomputedSections(kernel, np.arange(X.shape[1]), X[rows])
-        else:
-            points, rows = choose_centers(self.centers, X, y, among_rows=interpolates)
-            sections = KernelSections(kernel, points)
-        if not interpolates or rows is None:
-            return sections, rows, None
-        return sections, rows, AveragedOutputs(outputs[rows], once[rows], none)
+        return resolve_centers(self, kernel, X, y, weights, numbers)
 
     def _store(self, estimate: Estimate, shape: tuple[int, ...]) -> None:
         """Store an estimate for outputs of this shape."""
@@ -685,7 +677,7 @@ default="auto"
 
         for stale in _STALE:
             self.__dict__.pop(stale, None)
-        system, fit, rows, averages, n_rows = estimate
+        system, fit, rows, averages, n_rows, self._weight = estimate
         sections = system.sections
         self.kernel_ = sections.kernel
         self.solver_ = system.solver

@@ -1,10 +1,53 @@
-"""Equal rows: which they are, and the means of their outputs."""
+"""Weighted rows and equal ones: which they are, and the means of their outputs."""
 
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+from sklearn.utils import gen_batches
 
 from ._typing import Array, Indices
+from ._validation import check_sample_weight
+
+# Rows whose keys are computed at a time, so that they stay in the cache.
+KEY_ROWS = 2**13
+
+
+def drop_absent(
+    sample_weight: Any, X: Array, y: Array
+) -> tuple[Array | None, Indices, Array, Array]:
+    """Drop the rows of weight zero.
+
+    Parameters
+    ----------
+    sample_weight : array-like of shape (n_samples,) or None
+        The weights, as the user gives them.
+    X, y : ndarray of shape (n_samples, ...)
+        The data.
+
+    Returns
+    -------
+    weights : ndarray of shape (n_present,) or None
+        The weights that are positive; None if none were given.
+    numbers : ndarray of shape (n_present,)
+        The rows that have them.
+    X, y : ndarray of shape (n_present, ...)
+        The data there.
+
+    Raises
+    ------
+    ValueError
+        If the weights are no finite numbers of at least 0, one a row.
+    """
+    weights = check_sample_weight(sample_weight, len(X))
+    if weights is None or weights.all():
+        return weights, np.arange(len(X)), X, y
+    present = np.flatnonzero(weights)
+    return weights[present], present, X[present], y[present]
+
+
+def total_weight(X: Array, weights: Array | None) -> float:
+    """Return the sum of the weights; the number of rows if they have none."""
+    return float(len(X) if weights is None else weights.sum())
 
 
 def distinct_rows(X: Array) -> tuple[Indices, Indices, Indices]:
@@ -62,9 +105,9 @@ class AveragedOutputs(NamedTuple):
     means : ndarray of shape (n_distinct, n_outputs)
         The mean outputs at each state.
     counts : ndarray of shape (n_distinct,)
-        The number of rows with that state.
+        The number of rows with that state, or the sum of their weights.
     scatter : ndarray of shape (n_outputs,)
-        The sum of the squared deviations of all rows from the means.
+        The weighted sum of the squared deviations of all rows from the means.
     """
 
     means: Array
@@ -75,10 +118,26 @@ class AveragedOutputs(NamedTuple):
         """Return the outputs at some of the states."""
         return type(self)(self.means[rows], self.counts[rows], self.scatter)
 
-    def joined(self, y: Array) -> Self:
-        """Return these outputs followed by those of further, distinct rows."""
-        counts = np.append(self.counts, np.ones(len(y)))
+    @classmethod
+    def of(cls, y: Array, weights: Array | None) -> Self:
+        """Return the outputs of rows that are all taken for distinct."""
+        counts = np.ones(len(y)) if weights is None else weights
+        return cls(y, counts, np.zeros(y.shape[1]))
+
+    def joined(self, y: Array, weights: Array | None) -> Self:
+        """Return these outputs followed by those of further rows."""
+        _, counts, _ = self.of(y, weights)
+        counts = np.append(self.counts, counts)
         return type(self)(np.vstack([self.means, y]), counts, self.scatter)
+
+    def merged(self, group: Indices) -> Self:
+        """Return the averages over groups of these outputs, if any two share one."""
+        if len(group) == group.max() + 1:
+            return self.take(np.argsort(group))
+        counts = np.bincount(group, self.counts).astype(np.float64)
+        means = group_means(self.means, group, self.counts)
+        scatter = self.scatter + self.counts @ (self.means - means[group]) ** 2
+        return type(self)(means, counts, scatter)
 
 
 def average_equal_rows(
@@ -114,10 +173,83 @@ def average_equal_rows(
         return first, values
     if exact:
         _check_equal_rows_agree(values.means, group, numbers)
-    counts = np.bincount(group, values.counts).astype(np.float64)
-    means = group_means(values.means, group, values.counts)
-    scatter = values.scatter + values.counts @ (values.means - means[group]) ** 2
-    return first, AveragedOutputs(means, counts, scatter)
+    return first, values.merged(group)
+
+
+def average_at(points: Array, X: Array, values: AveragedOutputs) -> AveragedOutputs:
+    """Average the outputs of the rows that equal each of some points.
+
+    Parameters
+    ----------
+    points : ndarray of shape (n_points, n_features)
+        The points; each is among the rows.
+    X : ndarray of shape (n_samples, n_features)
+        The states.
+    values : AveragedOutputs
+        The outputs of these rows, which may be averages themselves.
+
+    Returns
+    -------
+    averaged : AveragedOutputs
+        The outputs at the points.
+    """
+    rows = _rows_that_may_equal(points, X)
+    _, group, _ = distinct_rows(np.vstack([points, X[rows]]))
+    # The groups of the points have the first numbers.
+    own, group = group[: len(points)], group[len(points) :]
+    at_points = group <= own.max()
+    rows, group = rows[at_points], group[at_points]
+    return values.take(rows).merged(group).take(own)
+
+
+def average_at_distance_zero(
+    rows: Indices, distances: Array, values: AveragedOutputs
+) -> AveragedOutputs:
+    """Average the outputs of the rows at distance zero from each of some centres.
+
+    Parameters
+    ----------
+    rows : ndarray of shape (n_centers,)
+        One such row for each centre.
+    distances : ndarray of shape (n_samples, n_centers)
+        The distances of the rows to the centres.
+    values : AveragedOutputs
+        The outputs of the rows.
+
+    Returns
+    -------
+    averaged : AveragedOutputs
+        The outputs at the centres.
+    """
+    nearest = distances.argmin(axis=1)
+    at_center = np.flatnonzero(distances[np.arange(len(distances)), nearest] == 0)
+    # Equal centres share one of their numbers.
+    used, group = np.unique(nearest[at_center], return_inverse=True)
+    own = np.searchsorted(used, nearest[rows])
+    return values.take(at_center).merged(group).take(own)
+
+
+def _rows_that_may_equal(points: Array, X: Array) -> Indices:
+    """Return all rows that equal a point, and hardly any other.
+
+    Rows are compared by a weighted sum of their entries. Its terms are added in the
+    same order for every row: a matrix product would not give equal rows equal sums.
+    """
+    factors = np.sqrt(np.arange(2.0, 2 + X.shape[1]))
+    keys = np.sort(_keys(points, factors))
+    rows = []
+    for batch in gen_batches(len(X), KEY_ROWS):
+        key = _keys(X[batch], factors)
+        place = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
+        rows.append(batch.start + np.flatnonzero(keys[place] == key))
+    return np.concatenate(rows)
+
+
+def _keys(X: Array, factors: Array) -> Array:
+    keys = np.zeros(len(X))
+    for column, factor in zip(X.T, factors, strict=True):
+        keys += factor * column
+    return keys
 
 
 def _check_equal_rows_agree(values: Array, group: Indices, numbers: Indices) -> None:
