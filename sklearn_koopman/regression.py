@@ -170,6 +170,7 @@ default="auto"
         number of rows less the effective number of parameters; the latter is
         estimated by `ConjugateGradient`, so that `noise_std_` is good to about 1 %.
         If hardly any rows are spare, it is ``signal_std_ * sqrt(alpha)`` as well.
+        Weights count as numbers of rows: it is that of a row of weight one.
     solver_ : str or ConjugateGradient
         The solver used: "pivoted_cholesky", "cholesky" or a `ConjugateGradient`.
     n_iter_ : int
@@ -221,6 +222,14 @@ default="auto"
     values P of the polynomials at the centres ([2]_, Chapter 8). Equal rows count as
     one centre with their mean output, and with `alpha` over their number on the
     diagonal of K.
+
+    A row with the `sample_weight` w counts as w equal rows. Its squared residual is
+    multiplied by w; where it is a centre whose output is interpolated, `alpha` over w
+    is on the diagonal of K. So only the ratio of weights and `alpha` matters to
+    predictions, and with ``alpha=0`` weights matter to interpolation in the means over
+    equal rows alone. For `noise_std_`, give weights that are no numbers of rows the
+    mean 1. For errors of standard deviations s, the best weights are proportional to
+    1 / s^2.
 
     With M centres and n rows of d features, a fit by a Cholesky factor takes O(M^3 / 3)
     time, for least squares O(n M^2) more, and the memory of one M x M matrix.
@@ -301,13 +310,14 @@ default="auto"
         Raises
         ------
         ValueError
-            If a parameter is outside its range; if the weights are negative, or all
-            zero; if a centre is no row of `X` where its output is needed; if equal rows have different outputs where every row is
-            interpolated; if least squares with ``alpha=0`` has fewer rows than
-            centres, or rows that do not determine the coefficients; if least squares
-            has a linear trend that rows determine, but the centres do not; if no
-            solution is found, as with ``solver="cholesky"`` and a Gram matrix that is
-            not positive definite, or with conjugate gradients that diverge.
+            If a parameter is outside its range; if weights are negative, or all of
+            them zero; if a centre is no row of `X` where its output is needed; if equal
+            rows have different outputs where every row is interpolated; if least
+            squares with ``alpha=0`` has fewer rows than centres, or rows that do not
+            determine the coefficients; if least squares has a linear trend that rows
+            determine, but the centres do not; if no solution is found, as with
+            ``solver="cholesky"`` and a Gram matrix that is not positive definite, or
+            with conjugate gradients that diverge.
 
         Warns
         -----
