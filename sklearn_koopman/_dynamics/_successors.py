@@ -25,7 +25,7 @@ def check_successors(X: Any, X_next: Any) -> Array:
 
 
 def find_successors(
-    X: Array, X_next: Array | None, sample_index: Any
+    X: Array, X_next: Array | None, sample_index: Any, weights: Array | None = None
 ) -> tuple[Indices, Array]:
     """Return the rows of X that have a successor, and their successors.
 
@@ -38,6 +38,9 @@ def find_successors(
     sample_index : array-like of shape (n_samples,) or None
         The place of each row on its trajectory. Without it and `X_next`, each row is
         the successor of the row before.
+    weights : ndarray of shape (n_samples,), default=None
+        The weights of the rows. One of weight zero starts no pair, and is no successor
+        of another row either.
 
     Returns
     -------
@@ -65,8 +68,9 @@ def find_successors(
             )
         rows, following = successor_rows(sample_index)
     if X_next is not None:
+        present = np.arange(len(X)) if weights is None else np.flatnonzero(weights)
         if sample_index is None or len(rows) == 0:
-            if _is_on_another_scale(X, X_next):
+            if _is_on_another_scale(X[present], X_next[present]):
                 warn(
                     "X_next seems to be on another scale than X, as if a scaler had "
                     "transformed X only. Pass sample_index instead, or set "
@@ -79,11 +83,15 @@ def find_successors(
                 "X_next and sample_index contradict each other; pass one of them. "
                 "Behind a scaler, transform X_next, too (transform_input=['X_next'])."
             )
-        return np.arange(len(X)), X_next
+        return present, X_next[present]
+    if weights is not None:
+        linked = (weights[rows] > 0) & (weights[following] > 0)
+        rows, following = rows[linked], following[linked]
     if len(rows) == 0:
         raise ValueError(
-            f"Order or sample_index links none of the n_samples={len(X)} rows; pass at "
-            "least two, with consecutive integers along trajectories, or X_next."
+            f"Order or sample_index links none of the n_samples={len(X)} rows (of "
+            "positive sample_weight); pass at least two, with consecutive integers "
+            "along trajectories, or X_next."
         )
     return rows, X[following]
 
