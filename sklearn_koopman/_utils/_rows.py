@@ -255,7 +255,7 @@ def _keys(X: Array) -> Array:
     They are sums of the entries, weighted at random. Terms are added in the same order
     for every row: a matrix product would not give equal rows equal sums.
     """
-    factors = np.random.default_rng(0).uniform(1.0, 2.0, X.shape[1])
+    factors = np.random.default_rng(0).uniform(1.0, 2.0, size=(X.shape[1],))
     keys = np.zeros(len(X))
     for start in range(0, len(X), KEY_ROWS):
         rows = slice(start, start + KEY_ROWS)
