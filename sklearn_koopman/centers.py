@@ -319,6 +319,13 @@ class SeparatedCenterSelector(
         return len(self.cluster_centers_)
 
 
+def fit_selector(selector: Any, X: Array, y: Any, weights: Array | None) -> Any:
+    """Fit a clone of a selector, with the weights of the rows if it takes any."""
+    if weights is None or not has_fit_parameter(selector, "sample_weight"):
+        return clone(selector).fit(X, y)
+    return clone(selector).fit(X, y, sample_weight=weights)
+
+
 def choose_centers(
     centers: Any, X: Array, y: Any, weights: Array | None = None, *, among_rows: bool
 ) -> tuple[Array, Indices | None]:
@@ -357,9 +364,7 @@ def choose_centers(
             f"'precomputed', got {centers!r}."
         )
     if hasattr(centers, "fit"):
-        weighed = weights is not None and has_fit_parameter(centers, "sample_weight")
-        selector = clone(centers)
-        selector.fit(X, y, **({"sample_weight": weights} if weighed else {}))
+        selector = fit_selector(centers, X, y, weights)
         if not hasattr(selector, "cluster_centers_"):
             raise ValueError(
                 f"centers={centers!r} has no cluster_centers_ after fit; use "

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 from joblib import effective_n_jobs
 from scipy.linalg import LinAlgWarning
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.exceptions import FitFailedWarning
 from sklearn.frozen import FrozenEstimator
 from sklearn.metrics import check_scoring
@@ -32,12 +32,12 @@ from ._regression._candidates import (
     tabulate,
 )
 from ._utils._parallel import one_thread
-from ._utils._rows import distinct_rows
+from ._utils._rows import distinct_rows, drop_absent
 from ._utils._storage import StoresCentersOnce
-from ._utils._typing import Array
+from ._utils._typing import Array, Indices
 from ._utils._validation import check_number, check_parameters
 from ._utils._warnings import warn
-from .centers import choose_centers
+from .centers import choose_centers, fit_selector
 from .kernels import as_kernel
 from .regression import KoopmanKernelRegressor
 
@@ -88,8 +88,10 @@ default=None
     scoring : str or callable, default=None
         How held-out predictions are scored; larger is better. A name or a scorer of
         scikit-learn. The scorer gets an estimator that returns the held-out
-        predictions. None means the negative mean squared error for leave-one-out, in
-        the squared unit of the outputs, and otherwise R^2, averaged over the outputs.
+        predictions, and the weights of the rows if it, or its metric, has the parameter
+        `sample_weight`; others score all rows alike. None means the negative mean
+        squared error for leave-one-out, in the squared unit of the outputs, and
+        otherwise R^2, averaged over the outputs.
     cv : int, cross-validation splitter or iterable, default=None
         How rows are held out.
 
@@ -264,7 +266,9 @@ default=None
         self.cv = cv
         self.n_jobs = n_jobs
 
-    def fit(self, X: Any, y: Any, groups: Any = None) -> Self:
+    def fit(
+        self, X: Any, y: Any, groups: Any = None, sample_weight: Any = None
+    ) -> Self:
         """Choose kernel, scale and weight, and fit the estimate to all rows.
 
         Parameters
@@ -275,6 +279,10 @@ default=None
             The outputs one step after each row.
         groups : array-like of shape (n_samples,), default=None
             The trajectory of each row, for splitters that ask for it.
+        sample_weight : array-like of shape (n_samples,), default=None
+            How much each row counts, as in :class:`KoopmanKernelRegressor`, in the
+            estimates of the folds and in the scores. Rows of weight 0 are absent from
+            the folds, which are made of all rows. None means 1 for every row.
 
         Returns
         -------
@@ -284,7 +292,8 @@ default=None
         Raises
         ------
         ValueError
-            If a parameter is outside its range; if a fold has no training row, no
+            If a parameter is outside its range; if weights are negative, or all of
+            them zero; if a fold has no training row, no
             test row or, for interpolation, no centre; if no candidate has a score.
 
         Warns
@@ -303,18 +312,21 @@ default=None
         )
         y = np.asarray(y, dtype=np.float64)
         grid = self._grid()
+        every = X, y
+        weights, numbers, X, y = drop_absent(sample_weight, X, y)
+        splits = self._splits(*every, groups, numbers)
         candidates = [
             as_kernel(kernel, beta, X.shape[1])
             for beta, kernel in product(grid["beta"], grid["kernel"])
         ]
-        scorer = check_scoring(IdentityRegressor(), scoring=self.scoring)
-        if self.cv is None and self.scoring is None:
+        scorer = check_scoring(IdentityRegressor(), scoring=self.scoring or "r2")
+        by_row = self.cv is None and self.scoring is None
+        if by_row:
             scorer = negative_squared_errors
-        splits = self._splits(X, y, groups)
         centers, points = self.centers, X
         if hasattr(centers, "fit") and not isinstance(centers, type):
             # Fitted once: the winner has the centres that it was chosen with.
-            centers = FrozenEstimator(clone(centers).fit(X, y))
+            centers = FrozenEstimator(fit_selector(centers, X, y, weights))
         if centers is not None:
             among_rows = self.method == "interpolation"
             points, _ = choose_centers(centers, X, y, among_rows=among_rows)
@@ -324,7 +336,7 @@ default=None
         regressor = KoopmanKernelRegressor(
             method=self.method, trend=self.trend, solver=self.solver
         )
-        problem = Problem(X, y, points, splits, regressor, centers is None)
+        problem = Problem(X, y, points, splits, regressor, centers is None, weights)
         for i, fold in enumerate(problem.folds if problem.interpolates else ()):
             if len(fold.out) == len(points):
                 raise ValueError(
@@ -343,7 +355,9 @@ default=None
         # In the order of GridSearchCV, so that it chooses among equals as that does.
         params = list(ParameterGrid(grid))
         outcomes = [own[a] for a in range(len(grid["alpha"])) for own in scored]
-        results, failed = tabulate(params, outcomes, by_fold=self.cv is not None)
+        results, failed = tabulate(
+            params, outcomes, self.cv is not None, weights if by_row else None
+        )
         if failed:
             warn(
                 f"{len(failed)} of {len(params)} candidates have no estimate on all "
@@ -352,7 +366,7 @@ default=None
             )
         best = int(results["rank_test_score"].argmin())
         regressor.set_params(**params[best], centers=centers, n_jobs=self.n_jobs)
-        estimator = regressor.fit(given, y)
+        estimator = regressor.fit(given, every[1], sample_weight)
         # Attributes are set last: a fit that fails leaves the estimator as it was.
         kept = {k: v for k, v in vars(self).items() if not k.endswith("_")}
         fitted = {k: v for k, v in vars(estimator).items() if k.endswith("_")}
@@ -453,22 +467,27 @@ default=None
         check_parameters(self, method=METHODS, trend=DEGREES, solver=SOLVERS)
         return grid
 
-    def _splits(self, X: Array, y: Array, groups: Any) -> list[Split]:
+    def _splits(self, X: Array, y: Array, groups: Any, present: Indices) -> list[Split]:
+        """Divide all rows, and number those of the folds among the present ones."""
         cv = LeaveOneOut() if self.cv is None else self.cv
         splits: list[Split] = []
-        every = np.arange(len(X))
+        place = np.full(len(X), -1)
+        place[present] = np.arange(len(present))
         for train, test in check_cv(cv, y).split(X, y, groups):
-            train, test = every[train], every[test]
-            out = np.delete(every, train)
-            n_train = len(X) - len(out)
+            train, test = (rows[rows >= 0] for rows in (place[train], place[test]))
+            if self.cv is None and not len(test):
+                continue
+            out = np.delete(np.arange(len(present)), train)
+            n_train = len(present) - len(out)
             if not n_train or not len(test) or n_train < len(train):
+                absent = " (rows of weight 0 are absent)"
                 raise ValueError(
                     f"Fold {len(splits)} of cv={self.cv!r} has {len(test)} test rows "
-                    f"and {len(train)} training rows, of which {n_train} are distinct; "
-                    "a fold needs both, and no training row twice."
+                    f"and {len(train)} training rows, of which {n_train} are distinct"
+                    f"{absent if len(present) < len(X) else ''}; a fold needs both, "
+                    "and no training row twice."
                 )
-            is_rising = (np.diff(train) > 0).all()
-            splits.append(Split(out, test, None if is_rising else train))
+            splits.append(Split(out, test))
         if not splits:
             raise ValueError(f"cv={self.cv!r} gives no folds.")
         return splits

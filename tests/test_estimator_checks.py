@@ -1,4 +1,4 @@
-"""scikit-learn's own checks, with none expected to fail."""
+"""scikit-learn's own checks."""
 
 from itertools import cycle
 
@@ -119,13 +119,26 @@ PAIRS = [
 ]
 
 
-@parametrize_with_checks([*SELECTORS, *REGRESSORS, *OPERATORS])
+def expected_failed_checks(estimator):
+    """Name the check that compares weights with repeated rows in another order.
+
+    Without successors, the order of the rows is that of time for an operator, and it
+    numbers the centres of a selector, which are its outputs.
+    """
+    if not isinstance(estimator, KernelEDMD | SeparatedCenterSelector):
+        return {}
+    return {"check_sample_weight_equivalence_on_dense_data": "the order matters"}
+
+
+@parametrize_with_checks(
+    [*SELECTORS, *REGRESSORS, *OPERATORS], expected_failed_checks=expected_failed_checks
+)
 def test_scikit_learn_check(estimator, check):
     check(estimator)
 
 
 @pytest.mark.slow
-@parametrize_with_checks(PAIRS)
+@parametrize_with_checks(PAIRS, expected_failed_checks=expected_failed_checks)
 def test_scikit_learn_check_of_pairs_of_options(estimator, check):
     check(estimator)
 

@@ -84,8 +84,8 @@ def check_sample_weight(sample_weight: Any, n_rows: int) -> Array | None:
         )
     if weights.min() < 0 or not 0 < weights.sum() < np.inf:
         raise ValueError(
-            "sample_weight must hold finite numbers of at least 0, not all of them 0, "
-            f"got values from {weights.min():.3g} to {weights.max():.3g}."
+            "sample_weight must hold non-negative numbers with a finite sum above "
+            f"zero, got values from {weights.min():.3g} to {weights.max():.3g}."
         )
     return weights
 
