@@ -320,7 +320,24 @@ class SeparatedCenterSelector(
 
 
 def fit_selector(selector: Any, X: Array, y: Any, weights: Array | None) -> Any:
-    """Fit a clone of a selector, with the weights of the rows if it takes any."""
+    """Fit a clone of a selector, with the weights of the rows if it takes any.
+
+    Parameters
+    ----------
+    selector : estimator
+        The selector, which stays as it is.
+    X : ndarray of shape (n_samples, n_features)
+        The samples.
+    y : ndarray
+        The outputs.
+    weights : ndarray of shape (n_samples,) or None
+        The weights.
+
+    Returns
+    -------
+    selector : estimator
+        The clone.
+    """
     if weights is None or not has_fit_parameter(selector, "sample_weight"):
         return clone(selector).fit(X, y)
     return clone(selector).fit(X, y, sample_weight=weights)

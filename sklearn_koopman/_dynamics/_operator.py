@@ -70,7 +70,7 @@ def interpolate_operator(
     center[group[rows]] = np.arange(M)
     own_center = center[group[rows]]
     alone = np.bincount(group)[group[rows]].sum() == M
-    sources = rows if alone else np.flatnonzero(center[group] >= 0)
+    sources = np.unique(rows) if alone else np.flatnonzero(center[group] >= 0)
     values = np.zeros((M, M + targets.shape[1]))
     for batch in gen_batches(len(sources), max(block_entries // M, M)):
         own = sources[batch]

@@ -82,10 +82,11 @@ def check_sample_weight(sample_weight: Any, n_rows: int) -> Array | None:
             f"sample_weight has shape {weights.shape}, but X has {n_rows} rows; pass "
             "one weight a row."
         )
-    if weights.min() < 0 or not 0 < weights.sum() < np.inf:
+    smallest, largest = weights.min(), weights.max()
+    if smallest < 0 or not 0 < largest <= MAX_MAGNITUDE:
         raise ValueError(
-            "sample_weight must hold non-negative numbers with a finite sum above "
-            f"zero, got values from {weights.min():.3g} to {weights.max():.3g}."
+            f"sample_weight must hold numbers from 0 to {MAX_MAGNITUDE:g}, not only "
+            f"zeros, got values from {smallest:.3g} to {largest:.3g}."
         )
     return weights
 
