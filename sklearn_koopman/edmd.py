@@ -212,8 +212,8 @@ default=None
     ``pipeline[-1].forecast(pipeline[:-1].transform(X), n_steps)``.
 
     With metadata routing enabled, `X_next` and `sample_index` are passed on by
-    pipelines and searches without a call of `set_fit_request`. A scaler in front
-    transforms `X_next` only if asked to: ``Pipeline(steps,
+    pipelines and searches without a call of `set_fit_request`, which `sample_weight`
+    needs. A scaler in front transforms `X_next` only if asked to: ``Pipeline(steps,
     transform_input=["X_next"])``. `sample_index` needs no such care.
 
     References

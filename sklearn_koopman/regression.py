@@ -407,8 +407,9 @@ default="auto"
         Notes
         -----
         The parameters must be those of the first batch, but `alpha` and a selector may
-        change: then all is factored anew. k new centres take O(k M^2)
-        time, and n rows of least squares O(n M^2).
+        change: then all is factored anew, as it is if a row equals an earlier centre
+        and `alpha` is not 0. k new centres take O(k M^2) time, and n rows of least
+        squares O(n M^2).
 
         If new centres make the Gram matrix nearly singular, it is factored anew and
         dependent centres are dropped as in `fit`. Which ones depends on the order of

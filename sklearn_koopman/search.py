@@ -187,6 +187,10 @@ default=None
 
     Allen's PRESS [3]_, which [2]_ compares with its rotation-invariant form.
 
+    *Weights.* With the `sample_weight` w of the rows, `alpha` over w is on the diagonal
+    of K, and for least squares the columns of F and the outputs are multiplied by the
+    roots of w. Leave-one-out holds out a row with all of its weight.
+
     *Refits.* A fold is predicted by a refit of the regressor where the closed form
     does not apply or is not accurate enough: if some of several equal rows that are
     one centre are held out, if least squares tests a row that it has learned from, if

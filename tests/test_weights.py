@@ -784,7 +784,7 @@ def test_no_link_bridges_an_absent_row(method, linked_by, outputs):
 
 def test_no_pair_is_left():
     X = np.arange(5.0)[:, np.newaxis]
-    with pytest.raises(ValueError, match="links none of the n_samples=5 rows"):
+    with pytest.raises(ValueError, match="n_samples=5 rows, or none of pos"):
         KernelEDMD(beta=1.0).fit(X, sample_weight=[1, 0, 1, 0, 1])
 
 

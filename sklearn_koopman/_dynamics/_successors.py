@@ -88,10 +88,10 @@ def find_successors(
         linked = (weights[rows] > 0) & (weights[following] > 0)
         rows, following = rows[linked], following[linked]
     if len(rows) == 0:
+        kind = "rows" if weights is None else "rows, or none of positive weight"
         raise ValueError(
-            f"Order or sample_index links none of the n_samples={len(X)} rows (of "
-            "positive sample_weight); pass at least two, with consecutive integers "
-            "along trajectories, or X_next."
+            f"Order or sample_index links none of the n_samples={len(X)} {kind}; pass "
+            "at least two, with consecutive integers along trajectories, or X_next."
         )
     return rows, X[following]
 
