@@ -16,7 +16,7 @@ from sklearn.base import (
 )
 from sklearn.utils import check_array
 from sklearn.utils.metaestimators import available_if
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted, has_fit_parameter, validate_data
 
 from ._selection import nearest_centers, select_centers
 from ._utils._rows import distinct_rows, spread, warn_without_spread
@@ -398,8 +398,37 @@ def resolve_separation(separation: Any, spread: float | None) -> float:
     return float(separation)
 
 
+def fit_selector(selector: Any, X: Array, y: Any, weights: Array | None = None) -> Any:
+    """Fit a clone of a selector, with the weights of the rows if they matter to it.
+
+    Parameters
+    ----------
+    selector : estimator
+        The selector, which stays as it is.
+    X : ndarray of shape (n_samples, n_features)
+        The samples.
+    y : ndarray
+        The outputs.
+    weights : ndarray of shape (n_samples,), default=None
+        The weights, all of them positive.
+
+    Returns
+    -------
+    selector : estimator
+        The clone.
+    """
+    selector = clone(selector)
+    if weights is not None and has_fit_parameter(selector, "sample_weight"):
+        return selector.fit(X, y, sample_weight=weights)
+    if weights is not None and isinstance(selector, SeparatedCenterSelector):
+        # Nothing else than its default scale depends on them.
+        scale = spread(X, weights)
+        selector.separation = resolve_separation(selector.separation, scale)
+    return selector.fit(X, y)
+
+
 def choose_centers(
-    centers: Any, X: Array, y: Any, *, among_rows: bool
+    centers: Any, X: Array, y: Any, weights: Array | None = None, *, among_rows: bool
 ) -> tuple[Array, Indices | None]:
     """Return the centres for the parameter `centers` of an estimator.
 
@@ -411,6 +440,8 @@ def choose_centers(
         The samples.
     y : ndarray
         The outputs, which some estimators need.
+    weights : ndarray of shape (n_samples,), default=None
+        The weights of the rows.
     among_rows : bool
         Whether every centre has to be a row of `X`.
 
@@ -434,7 +465,7 @@ def choose_centers(
             f"'precomputed', got {centers!r}."
         )
     if hasattr(centers, "fit"):
-        selector = clone(centers).fit(X, y)
+        selector = fit_selector(centers, X, y, weights)
         if not hasattr(selector, "cluster_centers_"):
             raise ValueError(
                 f"centers={centers!r} has no cluster_centers_ after fit; use "

@@ -13,7 +13,7 @@ from ._dynamics._forecast import apply_powers, relift_states, sum_modes
 from ._dynamics._operator import block_diagonal, fit_operator, interpolate_operator
 from ._dynamics._spectrum import decompose, pack_weights, unpack
 from ._dynamics._successors import check_successors, find_successors
-from ._linalg._fit import Fit
+from ._linalg._fit import Fit, make_nugget
 from ._linalg._systems import (
     METHODS,
     SOLVERS,
@@ -25,7 +25,7 @@ from ._matrices._polynomial import DEGREES
 from ._matrices._sections import KernelExpansion, KernelSections
 from ._utils._frames import index_level
 from ._utils._pipeline import find_operator, transformed
-from ._utils._rows import distinct_rows, group_means, spread
+from ._utils._rows import distinct_rows, drop_absent, group_means, spread
 from ._utils._storage import StoresCentersOnce
 from ._utils._typing import Array, Complex, Indices, Mask
 from ._utils._validation import (
@@ -34,6 +34,7 @@ from ._utils._validation import (
     check_magnitude,
     check_number,
     check_parameters,
+    check_sample_weight,
     refuse_masked,
 )
 from ._utils._warnings import warn
@@ -151,8 +152,8 @@ default=None
         For least squares at chosen centres the sums run over all pairs; take many
         times as many pairs as centres. For interpolation the sums run over the rows
         that are not centres, because the residual is zero at the centres. If there are
-        fewer such rows than centres, it is replaced by a leave-one-out estimate: the
-        error of :math:`\\phi` at each left-out centre times
+        fewer such distinct pairs than centres, it is replaced by a leave-one-out
+        estimate: the error of :math:`\\phi` at each left-out centre times
         :math:`\\sqrt{1 + |\\lambda|^2}`. Eigenvalues whose residual is not small are
         spurious. (For random f the residual of a true one is not small, either: it is
         the root of ``1 - abs(lambda) ** 2`` in a stationary process.)
@@ -201,9 +202,12 @@ default=None
     here.
 
     Equal states with different successors belong to a random map, whose operator takes
-    the mean over its outcomes. Least squares does so, as does interpolation where every
-    row is a centre. With a selector, or given centres, interpolation takes the first of
-    equal rows.
+    the mean over its outcomes. Least squares does so, as does interpolation at a centre
+    that equals several rows.
+
+    A pair with the `sample_weight` w counts as w equal pairs: its squared residuals are
+    multiplied by w, in `residuals_`, too. At centres, `alpha` over w is on the diagonal
+    of the Gram matrix of an interpolant.
 
     With M centres and n pairs, a fit takes O(M^3) time, of which the eigenvalues take
     most (about 25 M^3), O(n M^2) more for least squares, and the memory of some M x M
@@ -215,8 +219,8 @@ default=None
     :func:`forecast`, which scales the states first: ``forecast(pipeline, X, n_steps)``.
 
     With metadata routing enabled, `X_next` and `sample_index` are passed on by
-    pipelines and searches without a call of `set_fit_request`. A scaler in front
-    transforms `X_next` only if asked to: ``Pipeline(steps,
+    pipelines and searches without a call of `set_fit_request`, which `sample_weight`
+    needs. A scaler in front transforms `X_next` only if asked to: ``Pipeline(steps,
     transform_input=["X_next"])``. `sample_index` needs no such care. Data frames of
     :func:`trajectory_pairs` need neither parameter, nor metadata routing: see `fit`.
 
@@ -291,7 +295,13 @@ default=None
         self.n_jobs = n_jobs
 
     def fit(
-        self, X: Any, y: Any = None, *, X_next: Any = None, sample_index: Any = None
+        self,
+        X: Any,
+        y: Any = None,
+        *,
+        X_next: Any = None,
+        sample_index: Any = None,
+        sample_weight: Any = None,
     ) -> Self:
         """Choose the centres, estimate the operator and analyse its spectrum.
 
@@ -310,6 +320,11 @@ default=None
             succeeds row i if ``sample_index[j] == sample_index[i] + 1``. With both, as
             when a scorer needs the second one, `X_next` is used, and must agree. With
             neither, see the Notes.
+        sample_weight : array-like of shape (n_samples,), default=None
+            How much the pair of each row and its successor counts, as if it occurred
+            so many times: numbers of at least 0. A row of weight 0 is absent. It is no
+            successor of another row either, but its place in the order remains empty.
+            None means 1 for every row.
 
         Returns
         -------
@@ -319,13 +334,13 @@ default=None
         Raises
         ------
         ValueError
-            If a parameter is outside its range; if `X_next` and `sample_index`
-            contradict each other; if the rows contradict their order, where only that
-            tells which rows follow each other; if no row has a successor; if a centre
-            is no row
-            with a successor where interpolation needs it; if no solution is found, as
-            with ``solver="cholesky"`` and a Gram matrix that is not positive definite;
-            if least squares has a linear trend that rows determine, but the centres do
+            If a parameter is outside its range; if weights are negative, or all of
+            them zero; if `X_next` and `sample_index` contradict each other; if the rows
+            contradict their order, where only that tells which rows follow each other;
+            if no row has a successor; if a centre is no row with a successor where
+            interpolation needs it; if no solution is found, as with
+            ``solver="cholesky"`` and a Gram matrix that is not positive definite; if
+            least squares has a linear trend that rows determine, but the centres do
             not.
 
         Warns
@@ -364,18 +379,25 @@ default=None
         if X_next is None and sample_index is None:
             sample_index = index_level("sample_index", given, given_y)
         consecutive = X_next is None and sample_index is None
-        here, X_next = find_successors(X, X_next, sample_index, (given, given_y))
+        row_weights = check_sample_weight(sample_weight, len(X))
+        data = given, given_y
+        here, X_next = find_successors(X, X_next, sample_index, data, row_weights)
         outputs = X_next if y is None else y.reshape(len(y), -1)
         if y is not None:
             check_magnitude(outputs, smallest=0.0, name="y")
         n_outputs = outputs.shape[1]
         targets = X_next if y is None else np.hstack([outputs[here], X_next])
         # Outputs of states without a successor: least squares has a use for them.
-        more = y is not None and self.method == "least_squares" and len(here) < len(X)
-        scale = spread(X[here])
+        n_present = len(X) if row_weights is None else np.count_nonzero(row_weights)
+        takes_more = self.method == "least_squares" and y is not None
+        more = takes_more and bool(len(here) < n_present)
+        pair_weights = None if row_weights is None else row_weights[here]
+        scale = spread(X[here], pair_weights)
         every_row = self.centers is None and not more
         try:
-            found = self._estimate(X[here], X_next, targets, scale, every_row=every_row)
+            found = self._estimate(
+                X[here], X_next, targets, pair_weights, scale, every_row=every_row
+            )
         except ValueError as error:
             if len(here) == len(X) or "row" not in str(error):
                 raise
@@ -384,12 +406,13 @@ default=None
             ) from error
         system, matrix, coordinates = found.system, found.matrix, found.coordinates
         if more:
+            row_weights, _, states, outputs = drop_absent(row_weights, X, outputs)
             coordinates[:, :n_outputs] = system.fit_coordinates(
-                X, outputs, self.alpha, self.n_jobs
+                states, outputs, self.alpha, self.n_jobs, row_weights
             )
         pairs = X[here], X_next, found.counted
         spectrum = decompose(
-            system, matrix, coordinates, *pairs, self.alpha, self.n_modes
+            system, matrix, coordinates, *pairs, self.alpha, self.n_modes, pair_weights
         )
         lam, phi, residuals, weights, rcond_of_eigenvectors = spectrum
         is_reduced = 0 < len(lam) < len(matrix)
@@ -654,7 +677,14 @@ default=None
             check_integer(self.n_modes, "n_modes", 0)
 
     def _estimate(
-        self, X: Array, X_next: Array, targets: Array, scale: float, *, every_row: bool
+        self,
+        X: Array,
+        X_next: Array,
+        targets: Array,
+        weights: Array | None,
+        scale: float,
+        *,
+        every_row: bool,
     ) -> _Operator:
         """Estimate the operator, and the targets one step ahead, from pairs."""
         kernel = as_kernel(self.kernel, self.beta, X.shape[1], scale)
@@ -666,42 +696,47 @@ default=None
             centers = (
                 SeparatedCenterSelector(0) if self.centers is None else self.centers
             )
-            points, rows = choose_centers(centers, X, targets, among_rows=False)
+            points, rows = choose_centers(
+                centers, X, targets, weights, among_rows=False
+            )
             extent = np.stack([X.min(axis=0), X.max(axis=0)])
             nugget = np.zeros(len(points))
             sections = KernelSections(kernel, points)
             system = DirectSystem(sections, nugget, degree, solver, extent)
             matrix, coordinates, fit = fit_operator(
-                system, X, X_next, targets, self.alpha, self.n_jobs
+                system, X, X_next, targets, self.alpha, self.n_jobs, weights
             )
             if rows is not None:
                 rows = rows[system.kept]
             # With every state a centre, a fit has no other rows than an interpolant.
             counted = np.full(len(X), self.centers is not None)
             return _Operator(system, fit, matrix, coordinates, rows, counted)
-        first, group, counts = distinct_rows(X)
+        rows, group, _ = distinct_rows(X)
         means = np.hstack([X_next, targets])
-        if len(first) < len(X):
-            means = group_means(means, group)[group]
+        # Where equal states have different successors, the map is random, and its
+        # operator takes the mean.
+        if len(rows) < len(X):
+            means = group_means(means, group, weights)[group]
         mean_next, mean_targets = np.split(means, [X_next.shape[1]], axis=1)
-        all_targets = targets
-        if every_row:
-            # Where equal states have different successors, the map is random, and its
-            # operator takes the mean.
-            rows, targets, nugget = first, mean_targets, self.alpha / counts
-        else:
-            _, rows = choose_centers(self.centers, X, targets, among_rows=True)
-            assert rows is not None  # since they are among the rows
-            nugget = np.full(len(rows), float(self.alpha))
-        system = DirectSystem(KernelSections(kernel, X[rows]), nugget, degree, solver)
+        if not every_row:
+            _, chosen = choose_centers(
+                self.centers, X, targets, weights, among_rows=True
+            )
+            assert chosen is not None  # since they are among the rows
+            rows = chosen
+        sections = KernelSections(kernel, X[rows])
+        at_rows = np.bincount(group, weights)[group[rows]].astype(np.float64)
+        nugget = make_nugget(self.alpha, at_rows, sections.diagonal(sections.points))
+        system = DirectSystem(sections, nugget, degree, solver)
         if self.method == "interpolation":
-            fit = system.interpolate(targets[rows])
+            fit = system.interpolate(mean_targets[rows])
         else:
-            data = targets[rows], X, all_targets
-            fit = interpolate_every_row(system, *data, self.alpha, self.n_jobs)
+            data = mean_targets[rows], X, targets
+            fit = interpolate_every_row(system, *data, self.alpha, self.n_jobs, weights)
         rows = rows[system.kept]
-        lots = group if every_row else np.arange(len(X))
-        matrix, coordinates = interpolate_operator(system, X_next, targets, rows, lots)
+        matrix, coordinates = interpolate_operator(
+            system, X_next, targets, rows, group, weights
+        )
         # At a centre there is no residual, unless equal states have different
         # successors.
         random = np.abs(X_next - mean_next).max(axis=1) > 1e-9 * np.abs(X_next).max()

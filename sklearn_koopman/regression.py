@@ -10,6 +10,7 @@ from sklearn.utils import check_X_y
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from ._linalg._fit import make_nugget
 from ._linalg._systems import (
     METHODS,
     SOLVERS,
@@ -26,6 +27,7 @@ from ._matrices._sections import (
     PrecomputedSections,
     Sections,
 )
+from ._regression._centers import resolve_centers
 from ._regression._error_bound import (
     check_norms,
     error_bound,
@@ -41,7 +43,7 @@ from ._regression._partial_fit import (
     start_by_fit,
     start_least_squares,
 )
-from ._utils._rows import AveragedOutputs, average_equal_rows, spread
+from ._utils._rows import AveragedOutputs, drop_absent, spread, total_weight
 from ._utils._storage import StoresCentersOnce
 from ._utils._typing import Array, Indices
 from ._utils._validation import (
@@ -52,8 +54,7 @@ from ._utils._validation import (
     check_parameters,
     refuse_masked,
 )
-from .centers import choose_centers, rows_at_distance_zero
-from .kernels import as_kernel, is_isotropic
+from .kernels import as_kernel
 from .solvers import ConjugateGradient, check_solver
 
 __all__ = ["KoopmanKernelRegressor"]
@@ -112,7 +113,7 @@ class KoopmanKernelRegressor(
         Which outputs the estimate is made from.
 
         - "interpolation": those of the centres, which have to be rows of `X` ([1]_).
-          Of equal rows, the first one counts. Exact for outputs without noise.
+          Of equal rows, the mean output counts. Exact for outputs without noise.
         - "least_squares": those of all rows. Averages over noise, and over what the
           states do not determine.
 
@@ -175,6 +176,7 @@ default="auto"
         number of rows less the effective number of parameters; the latter is
         estimated by `ConjugateGradient`, so that `noise_std_` is good to about 1 %.
         If hardly any rows are spare, it is ``signal_std_ * sqrt(alpha)`` as well.
+        Weights count as numbers of rows: it is that of a row of weight one.
     solver_ : str or ConjugateGradient
         The solver used: "pivoted_cholesky", "cholesky" or a `ConjugateGradient`.
     n_iter_ : int
@@ -227,6 +229,14 @@ default="auto"
     one centre with their mean output, and with `alpha` over their number on the
     diagonal of K.
 
+    A row with the `sample_weight` w counts as w equal rows. Its squared residual is
+    multiplied by w; where it is a centre whose output is interpolated, `alpha` over w
+    is on the diagonal of K. So only the ratio of weights and `alpha` matters to
+    predictions, and with ``alpha=0`` weights matter to interpolation in the means over
+    equal rows alone. For `noise_std_`, give weights that are no numbers of rows the
+    mean 1. For errors of standard deviations s, the best weights are proportional to
+    1 / s^2.
+
     With M centres and n rows of d features, a fit by a Cholesky factor takes O(M^3 / 3)
     time, for least squares O(n M^2) more, and the memory of one M x M matrix.
     Predictions take O(n M d), and O(n M^2) more with `return_std`. `fit` keeps the
@@ -261,6 +271,7 @@ default="auto"
     dual_coef_: Array
     _averages: tuple[Array, Array, Array]
     _n_rows: int
+    _weight: float
 
     def __init__(
         self,
@@ -283,7 +294,7 @@ default="auto"
         self.solver = solver
         self.n_jobs = n_jobs
 
-    def fit(self, X: Any, y: Any) -> Self:
+    def fit(self, X: Any, y: Any, sample_weight: Any = None) -> Self:
         """Choose the centres and compute the coefficients.
 
         Parameters
@@ -293,6 +304,9 @@ default="auto"
             ``centers="precomputed"``.
         y : array-like of shape (n_samples,) or (n_samples, n_outputs)
             The outputs one step after each row.
+        sample_weight : array-like of shape (n_samples,), default=None
+            How much each row counts, as if it occurred so many times: numbers of at
+            least 0. A row of weight 0 is absent. None means 1 for every row.
 
         Returns
         -------
@@ -302,13 +316,14 @@ default="auto"
         Raises
         ------
         ValueError
-            If a parameter is outside its range; if a centre is no row of `X` where its
-            output is needed; if equal rows have different outputs where every row is
-            interpolated; if least squares with ``alpha=0`` has fewer rows than
-            centres, or rows that do not determine the coefficients; if least squares
-            has a linear trend that rows determine, but the centres do not; if no
-            solution is found, as with ``solver="cholesky"`` and a Gram matrix that is
-            not positive definite, or with conjugate gradients that diverge.
+            If a parameter is outside its range; if weights are negative, or all of
+            them zero; if a centre is no row of `X` where its output is needed; if equal
+            rows have different outputs where every row is interpolated; if least
+            squares with ``alpha=0`` has fewer rows than centres, or rows that do not
+            determine the coefficients; if least squares has a linear trend that rows
+            determine, but the centres do not; if no solution is found, as with
+            ``solver="cholesky"`` and a Gram matrix that is not positive definite, or
+            with conjugate gradients that diverge.
 
         Warns
         -----
@@ -320,11 +335,14 @@ default="auto"
         given = X
         X, y = self._check_data(X, y)
         self._check_parameters()
-        scale = None if self._is_precomputed else spread(X)
-        sections, rows, averages = self._resolve_centers(X, y, scale)
+        n_rows = len(X)
+        weights, numbers, X, y = drop_absent(sample_weight, X, y)
+        scale = None if self._is_precomputed else spread(X, weights)
+        sections, rows, averages = self._resolve_centers(X, y, weights, numbers, scale)
         outputs, degree = y.reshape(len(y), -1), DEGREES[self.trend]
         if averages is not None:
-            nugget = self.alpha / averages.counts
+            diagonal = sections.diagonal(sections.points)
+            nugget = make_nugget(self.alpha, averages.counts, diagonal)
             system = make_system(
                 sections, nugget, degree, self.solver, n_jobs=self.n_jobs
             )
@@ -332,7 +350,9 @@ default="auto"
                 fit = system.interpolate(averages.means)
             else:
                 data = averages.means, X, outputs
-                fit = interpolate_every_row(system, *data, self.alpha, self.n_jobs)
+                fit = interpolate_every_row(
+                    system, *data, self.alpha, self.n_jobs, weights
+                )
             if len(system.kept) < len(nugget):
                 averages = keep_averages(averages, fit, system.kept, sections.points)
         else:
@@ -341,17 +361,18 @@ default="auto"
             system = make_system(
                 sections, nugget, degree, self.solver, extent=extent, n_jobs=self.n_jobs
             )
-            fit = system.least_squares(X, outputs, self.alpha, self.n_jobs)
+            fit = system.least_squares(X, outputs, self.alpha, self.n_jobs, weights)
         # Attributes are set last: a fit that fails leaves the estimator as it was.
         validate_data(self, given, y, skip_check_array=True)
-        kept = None if rows is None else rows[system.kept]
-        estimate = Estimate(system, fit, kept, averages, len(X))
+        kept = None if rows is None else numbers[rows[system.kept]]
+        weight = total_weight(X, weights)
+        estimate = Estimate(system, fit, kept, averages, n_rows, weight)
         self._store(estimate, y.shape[1:])
         self._spread = scale
         return self
 
     @available_if(check_can_grow)
-    def partial_fit(self, X: Any, y: Any) -> Self:
+    def partial_fit(self, X: Any, y: Any, sample_weight: Any = None) -> Self:
         """Learn from a further batch of rows, as if all had been given to one `fit`.
 
         Interpolation adds the rows that become centres to the Cholesky factor: with
@@ -366,6 +387,8 @@ default="auto"
             The states.
         y : array-like of shape (n_samples,) or (n_samples, n_outputs)
             The outputs one step after each row.
+        sample_weight : array-like of shape (n_samples,), default=None
+            How much each row counts, as in `fit`.
 
         Returns
         -------
@@ -396,8 +419,9 @@ default="auto"
         The spread of the first batch is that which ``beta="scale"`` and a selector's
         ``separation="scale"`` mean in all later ones, so it should hold the motion in
         its full extent. The parameters must be those of the first batch, but `alpha`
-        and a selector may change: then all is factored anew. k new centres take
-        O(k M^2) time, and n rows of least squares O(n M^2).
+        and a selector may change: then all is factored anew, as it is if a row equals
+        an earlier centre and `alpha` is not 0. k new centres take O(k M^2) time, and n
+        rows of least squares O(n M^2).
 
         If new centres make the Gram matrix nearly singular, it is factored anew and
         dependent centres are dropped as in `fit`. Which ones depends on the order of
@@ -406,7 +430,7 @@ default="auto"
         """
         started = hasattr(self, "dual_coef_")
         if not started and self._interpolates_centers:
-            return start_by_fit(self, X, y)
+            return start_by_fit(self, X, y, sample_weight)
         given = X
         if started:
             validate_data(self, given, reset=False, skip_check_array=True)
@@ -414,16 +438,22 @@ default="auto"
         self._check_parameters()
         if started:
             check_batch(self, self._direct_system(), y)
-        outputs, growth = y.reshape(len(y), -1), getattr(self, "_growth", None)
+        n_given = len(X)
+        weights, numbers, X, y = drop_absent(sample_weight, X, y)
+        batch = X, y.reshape(len(y), -1), weights
+        growth = getattr(self, "_growth", None)
         if self._interpolates_centers:
             system, averages = self._direct_system(), AveragedOutputs(*self._averages)
-            estimate = add_centers(system, averages, self._n_rows, self, X, outputs)
+            before, n_rows = self._n_rows, self._n_rows + n_given
+            weight = getattr(self, "_weight", before) + total_weight(X, weights)
+            place = numbers + before, n_rows, weight
+            estimate = add_centers(system, averages, self, *batch, *place)
         elif growth is not None:
-            estimate = add_rows(growth, self.alpha, X, outputs)
+            estimate = add_rows(growth, self.alpha, *batch)
         else:
-            scale = spread(X)
-            sections, _, _ = self._resolve_centers(X, y, scale)
-            growth, estimate = start_least_squares(sections, self, X, outputs, scale)
+            scale = spread(X, weights)
+            sections, _, _ = self._resolve_centers(X, y, weights, numbers, scale)
+            growth, estimate = start_least_squares(sections, self, *batch, scale)
         # Attributes are set last: a batch that fails is not counted.
         if not started:
             validate_data(self, given, y, skip_check_array=True)
@@ -662,39 +692,17 @@ default="auto"
             )
 
     def _resolve_centers(
-        self, X: Array, y: Array, scale: float | None
+        self,
+        X: Array,
+        y: Array,
+        weights: Array | None,
+        numbers: Indices,
+        scale: float | None,
     ) -> tuple[Sections, Indices | None, AveragedOutputs | None]:
-        """Return the sections of the centres, their rows, and the outputs there.
-
-        The outputs are None where they are not interpolated.
-        """
+        """Return the sections of the centres, their rows, and the outputs there."""
         n_features = None if self._is_precomputed else X.shape[1]
         kernel = as_kernel(self.kernel, self.beta, n_features, scale)
-        interpolates = self._interpolates_centers
-        outputs = y.reshape(len(y), -1)
-        once, none = np.ones(len(X)), np.zeros(outputs.shape[1])
-        sections: Sections
-        rows: Indices | None
-        if self.centers is None:
-            # Later batches need them, whatever becomes of y.
-            averages = AveragedOutputs(outputs.copy(), once, none)
-            exact = self.method == "interpolation" and self.alpha == 0
-            rows, averages = average_equal_rows(X, averages, exact, np.arange(len(X)))
-            return KernelSections(kernel, X[rows]), rows, averages
-        if self._is_precomputed:
-            if not is_isotropic(kernel):
-                raise ValueError(
-                    f"kernel={kernel!r} does not depend on distances alone, which "
-                    "centers='precomputed' needs; pass the states and a selector."
-                )
-            rows = rows_at_distance_zero(X)
-            sections = PrecomputedSections(kernel, np.arange(X.shape[1]), X[rows])
-        else:
-            points, rows = choose_centers(self.centers, X, y, among_rows=interpolates)
-            sections = KernelSections(kernel, points)
-        if not interpolates or rows is None:
-            return sections, rows, None
-        return sections, rows, AveragedOutputs(outputs[rows], once[rows], none)
+        return resolve_centers(self, kernel, X, y, weights, numbers)
 
     def _store(self, estimate: Estimate, shape: tuple[int, ...]) -> None:
         """Store an estimate for outputs of this shape."""
@@ -704,7 +712,7 @@ default="auto"
 
         for stale in _STALE:
             self.__dict__.pop(stale, None)
-        system, fit, rows, averages, n_rows = estimate
+        system, fit, rows, averages, n_rows, self._weight = estimate
         sections = system.sections
         self.kernel_ = sections.kernel
         self.solver_ = system.solver

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 from joblib import effective_n_jobs
 from scipy.linalg import LinAlgWarning
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.exceptions import FitFailedWarning
 from sklearn.frozen import FrozenEstimator
 from sklearn.gaussian_process.kernels import Kernel
@@ -33,12 +33,12 @@ from ._regression._candidates import (
     tabulate,
 )
 from ._utils._parallel import one_thread
-from ._utils._rows import distinct_rows, spread
+from ._utils._rows import distinct_rows, drop_absent, spread
 from ._utils._storage import StoresCentersOnce
-from ._utils._typing import Array
+from ._utils._typing import Array, Indices
 from ._utils._validation import check_number, check_parameters, refuse_masked
 from ._utils._warnings import ExtrapolationWarning, warn
-from .centers import choose_centers
+from .centers import choose_centers, fit_selector
 from .kernels import RadialKernel, as_kernel
 from .regression import KoopmanKernelRegressor
 
@@ -95,8 +95,10 @@ default=None
     scoring : str or callable, default=None
         How held-out predictions are scored; larger is better. A name or a scorer of
         scikit-learn. The scorer gets an estimator that returns the held-out
-        predictions. None means the negative mean squared error for leave-one-out, in
-        the squared unit of the outputs, and otherwise R^2, averaged over the outputs.
+        predictions, and the weights of the rows if it, or its metric, has the parameter
+        `sample_weight`; others score all rows alike. None means the negative mean
+        squared error for leave-one-out, in the squared unit of the outputs, and
+        otherwise R^2, averaged over the outputs.
     cv : int, cross-validation splitter or iterable, default=None
         How rows are held out.
 
@@ -193,6 +195,10 @@ default=None
 
     Allen's PRESS [3]_, which [2]_ compares with its rotation-invariant form.
 
+    *Weights.* With the `sample_weight` w of the rows, `alpha` over w is on the diagonal
+    of K, and for least squares the columns of F and the outputs are multiplied by the
+    roots of w. Leave-one-out holds out a row with all of its weight.
+
     *Refits.* A fold is predicted by a refit of the regressor where the closed form
     does not apply or is not accurate enough: if some of several equal rows that are
     one centre are held out, if least squares tests a row that it has learned from, if
@@ -272,7 +278,9 @@ default=None
         self.cv = cv
         self.n_jobs = n_jobs
 
-    def fit(self, X: Any, y: Any, groups: Any = None) -> Self:
+    def fit(
+        self, X: Any, y: Any, groups: Any = None, sample_weight: Any = None
+    ) -> Self:
         """Choose kernel, scale and weight, and fit the estimate to all rows.
 
         Parameters
@@ -283,6 +291,10 @@ default=None
             The outputs one step after each row.
         groups : array-like of shape (n_samples,), default=None
             The trajectory of each row, for splitters that ask for it.
+        sample_weight : array-like of shape (n_samples,), default=None
+            How much each row counts, as in :class:`KoopmanKernelRegressor`, in the
+            estimates of the folds and in the scores. Rows of weight 0 are absent from
+            the folds, which are made of all rows. None means 1 for every row.
 
         Returns
         -------
@@ -292,7 +304,8 @@ default=None
         Raises
         ------
         ValueError
-            If a parameter is outside its range; if a fold has no training row, no
+            If a parameter is outside its range; if weights are negative, or all of
+            them zero; if a fold has no training row, no
             test row or, for interpolation, no centre; if no candidate has a score.
 
         Warns
@@ -312,18 +325,21 @@ default=None
         )
         y = np.asarray(y, dtype=np.float64)
         grid = self._grid()
-        pairs, kernels = self._kernels(grid, X)
-        scorer = check_scoring(IdentityRegressor(), scoring=self.scoring)
-        if self.cv is None and self.scoring is None:
-            scorer = negative_squared_errors
         # A DataFrame as it was given: its index may tell the trials.
         rows = given if hasattr(given, "iloc") else X
         targets = given_y if hasattr(given_y, "iloc") else y
-        splits = self._splits(rows, targets, groups)
+        every_y = y
+        weights, numbers, X, y = drop_absent(sample_weight, X, y)
+        splits = self._splits(rows, targets, groups, numbers)
+        pairs, kernels = self._kernels(grid, X, weights)
+        scorer = check_scoring(IdentityRegressor(), scoring=self.scoring or "r2")
+        by_row = self.cv is None and self.scoring is None
+        if by_row:
+            scorer = negative_squared_errors
         centers, points = self.centers, X
         if hasattr(centers, "fit") and not isinstance(centers, type):
             # Fitted once: the winner has the centres that it was chosen with.
-            centers = FrozenEstimator(clone(centers).fit(X, y))
+            centers = FrozenEstimator(fit_selector(centers, X, y, weights))
         if centers is not None:
             among_rows = self.method == "interpolation"
             points, _ = choose_centers(centers, X, y, among_rows=among_rows)
@@ -333,7 +349,7 @@ default=None
         regressor = KoopmanKernelRegressor(
             method=self.method, trend=self.trend, solver=self.solver
         )
-        problem = Problem(X, y, points, splits, regressor, centers is None)
+        problem = Problem(X, y, points, splits, regressor, centers is None, weights)
         for i, fold in enumerate(problem.folds if problem.interpolates else ()):
             if len(fold.out) == len(points):
                 raise ValueError(
@@ -358,7 +374,9 @@ default=None
             for beta, kernel in pairs
         ]
         outcomes = [own[a] for a in range(len(grid["alpha"])) for own in scored]
-        results, failed = tabulate(params, outcomes, by_fold=self.cv is not None)
+        results, failed = tabulate(
+            params, outcomes, self.cv is not None, weights if by_row else None
+        )
         if failed:
             warn(
                 f"{len(failed)} of {len(params)} candidates have no estimate on all "
@@ -367,7 +385,7 @@ default=None
             )
         best = int(results["rank_test_score"].argmin())
         regressor.set_params(**params[best], centers=centers, n_jobs=self.n_jobs)
-        estimator = regressor.fit(given, y)
+        estimator = regressor.fit(given, every_y, sample_weight)
         # Attributes are set last: a fit that fails leaves the estimator as it was.
         kept = {k: v for k, v in vars(self).items() if not k.endswith("_")}
         fitted = {k: v for k, v in vars(estimator).items() if k.endswith("_")}
@@ -475,10 +493,10 @@ default=None
         return grid
 
     def _kernels(
-        self, grid: dict[str, list[Any]], X: Array
+        self, grid: dict[str, list[Any]], X: Array, weights: Array | None
     ) -> tuple[list[tuple[Any, Any]], list[Kernel]]:
         """Return the scale and the given kernel of each candidate, and both in one."""
-        scale = spread(X)
+        scale = spread(X, weights)
         if self.betas is None:
             multiples = [multiple * scale for multiple in MULTIPLES]
             pairs: list[tuple[Any, Any]] = [
@@ -495,22 +513,27 @@ default=None
                 pairs[i] = beta, pairs[i][1]
         return pairs, kernels
 
-    def _splits(self, X: Any, y: Any, groups: Any) -> list[Split]:
+    def _splits(self, X: Any, y: Any, groups: Any, present: Indices) -> list[Split]:
+        """Divide all rows, and number those of the folds among the present ones."""
         cv = LeaveOneOut() if self.cv is None else self.cv
         splits: list[Split] = []
-        every = np.arange(len(X))
+        place = np.full(len(X), -1)
+        place[present] = np.arange(len(present))
         for train, test in check_cv(cv, y).split(X, y, groups):
-            train, test = every[train], every[test]
-            out = np.delete(every, train)
-            n_train = len(X) - len(out)
+            train, test = (rows[rows >= 0] for rows in (place[train], place[test]))
+            if self.cv is None and not len(test):
+                continue
+            out = np.delete(np.arange(len(present)), train)
+            n_train = len(present) - len(out)
             if not n_train or not len(test) or n_train < len(train):
+                absent = " (rows of weight 0 are absent)"
                 raise ValueError(
                     f"Fold {len(splits)} of cv={self.cv!r} has {len(test)} test rows "
-                    f"and {len(train)} training rows, of which {n_train} are distinct; "
-                    "a fold needs both, and no training row twice."
+                    f"and {len(train)} training rows, of which {n_train} are distinct"
+                    f"{absent if len(present) < len(X) else ''}; a fold needs both, "
+                    "and no training row twice."
                 )
-            is_rising = (np.diff(train) > 0).all()
-            splits.append(Split(out, test, None if is_rising else train))
+            splits.append(Split(out, test))
         if not splits:
             raise ValueError(f"cv={self.cv!r} gives no folds.")
         return splits

@@ -1,4 +1,4 @@
-"""scikit-learn's own checks, with one of a default expected to fail."""
+"""scikit-learn's own checks."""
 
 from itertools import cycle
 
@@ -121,7 +121,19 @@ PAIRS = [
 ]
 
 
-@parametrize_with_checks([*SELECTORS, *REGRESSORS, *OPERATORS])
+def expected_failed_checks(estimator):
+    """Name the check that compares weights with repeated rows in another order.
+
+    Without successors, the order of the rows is that of time for an operator.
+    """
+    if not isinstance(estimator, KernelEDMD):
+        return {}
+    return {"check_sample_weight_equivalence_on_dense_data": "the order matters"}
+
+
+@parametrize_with_checks(
+    [*SELECTORS, *REGRESSORS, *OPERATORS], expected_failed_checks=expected_failed_checks
+)
 def test_scikit_learn_check(estimator, check):
     check(estimator)
 
@@ -129,7 +141,7 @@ def test_scikit_learn_check(estimator, check):
 @pytest.mark.slow
 # Narrow kernels keep the matrices of all options regular.
 @pytest.mark.filterwarnings("ignore::sklearn_koopman.ExtrapolationWarning")
-@parametrize_with_checks(PAIRS)
+@parametrize_with_checks(PAIRS, expected_failed_checks=expected_failed_checks)
 def test_scikit_learn_check_of_pairs_of_options(estimator, check):
     check(estimator)
 

@@ -21,6 +21,7 @@ from .._linalg._fit import (
 )
 from .._linalg._least_squares import least_squares
 from .._linalg._systems import DirectSystem
+from .._utils._rows import total_weight
 from .._utils._typing import Array, Complex, Indices
 
 # Coordinates beyond this belong to a diverging forecast, and soon overflow.
@@ -35,6 +36,7 @@ def interpolate_operator(
     targets: Array,
     rows: Indices,
     group: Indices,
+    weights: Array | None = None,
     block_entries: int = ENTRIES_PER_BLOCK,
 ) -> tuple[Array, Array]:
     """Interpolate the images of the basis under the operator, and targets, at centres.
@@ -51,6 +53,8 @@ def interpolate_operator(
         The rows that are centres.
     group : ndarray of shape (n_pairs,)
         The number of the group of each row: the images are means over groups.
+    weights : ndarray of shape (n_pairs,), default=None
+        The weights of the rows in these means.
     block_entries : int
         Entries of the arrays that are held at once.
 
@@ -64,14 +68,20 @@ def interpolate_operator(
     M = len(rows)
     center = np.full(group.max() + 1, -1)
     center[group[rows]] = np.arange(M)
-    counts = np.bincount(group)[group[rows]]
-    sources = rows if counts.sum() == M else np.flatnonzero(center[group] >= 0)
+    own_center = center[group[rows]]
+    alone = np.bincount(group)[group[rows]].sum() == M
+    sources = np.unique(rows) if alone else np.flatnonzero(center[group] >= 0)
     values = np.zeros((M, M + targets.shape[1]))
     for batch in gen_batches(len(sources), max(block_entries // M, M)):
         own = sources[batch]
         images = np.hstack([system.functions(X_next[own]).T, targets[own]])
+        if weights is not None and not alone:
+            images *= weights[own, np.newaxis]
         np.add.at(values, center[group[own]], images)
-    values /= counts[:, np.newaxis]
+    if not alone:
+        values /= np.bincount(group, weights)[group[rows]][:, np.newaxis]
+    if (own_center != np.arange(M)).any():  # equal centres
+        values = values[own_center]
     coordinates = system.coordinates(values)
     return coordinates[:, :M], coordinates[:, M:]
 
@@ -83,6 +93,7 @@ def fit_operator(
     targets: Array,
     alpha: float,
     n_jobs: int | None,
+    weights: Array | None = None,
 ) -> tuple[Array, Array, Fit]:
     """Fit the images of the basis under the operator, and targets, on all rows.
 
@@ -106,14 +117,15 @@ def fit_operator(
 
         n_images = M + targets.shape[1]
         # Not in shares of the rows, whose images would all be held at once.
-        z, b, dof = least_squares(system, X, images, n_images, alpha)
+        z, b, dof = least_squares(system, X, images, n_images, alpha, weights=weights)
         fit = system.fit_at(X, z[:, M:], b[:, M:], dof)
-        noise_std = estimate_noise(fit.expansion, X, targets, dof, n_jobs)
+        noise_std = estimate_noise(fit.expansion, X, targets, dof, n_jobs, weights)
         fit = fit._replace(noise_std=noise_std)
         coordinates = z + system.Q @ b
         return coordinates[:, :M], coordinates[:, M:], fit
 
-    return system.until_sound(attempt, negligible_tolerance(len(X), alpha))
+    negligible = negligible_tolerance(total_weight(X, weights), alpha)
+    return system.until_sound(attempt, negligible)
 
 
 def generate_powers(matrix: Array, v: Array) -> Iterator[Array]:

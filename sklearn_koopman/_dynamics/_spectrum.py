@@ -12,8 +12,10 @@ from scipy.linalg import lstsq, qr
 from scipy.linalg.lapack import dgecon, dgeev, dgeev_lwork, dgetrf, dgetrs
 from sklearn.utils import gen_batches
 
+from .._linalg._fit import make_nugget
 from .._linalg._systems import DirectSystem
 from .._matrices._sections import KernelExpansion
+from .._utils._rows import count_distinct, total_weight, weights_at
 from .._utils._typing import Array, Complex, Mask
 from ._operator import ENTRIES_PER_BLOCK
 
@@ -74,8 +76,11 @@ def decompose(
     counted: Mask,
     alpha: float,
     n_modes: int | None,
+    weights: Array | None = None,
 ) -> SpectralDecomposition:
     """Find the eigenfunctions, their residuals, and the expansion of targets.
+
+    Rows count by their `weights`, if they have any.
 
     If fewer than all eigenfunctions are asked for, the expansion is the best one in
     mean square over the rows. The residuals are measured on the rows that are
@@ -84,21 +89,25 @@ def decompose(
     """
     if n_modes == 0:
         none = np.empty((len(matrix), 0))
-        weights = np.empty((0, targets.shape[1]), dtype=np.complex128)
+        shares = np.empty((0, targets.shape[1]), dtype=np.complex128)
         functions = system.expand(none)
-        return SpectralDecomposition(weights[:, 0], functions, none[0], weights, 0.0)
+        return SpectralDecomposition(shares[:, 0], functions, none[0], shares, 0.0)
     lam, vectors = eigenvectors(matrix)
-    weights, rcond = expand_in_eigenvectors(vectors, lam, targets)
+    shares, rcond = expand_in_eigenvectors(vectors, lam, targets)
     functions = system.expand(vectors)
-    few = counted.sum() < len(system.kept)
+    # Repeated pairs tell no more than one.
+    pairs = np.hstack([X[counted], X_next[counted]])
+    few = count_distinct(pairs) < len(system.kept)
     size, counted_size, defect, at_first = measure(
-        functions, lam, X, X_next, counted & (not few)
+        functions, lam, X, X_next, counted & (not few), weights
     )
-    size = np.sqrt(size / len(X))
+    size = np.sqrt(size / total_weight(X, weights))
     if few:
         # Interpolation has made phi(f(x)) - lambda phi(x) vanish at the centres. Apart
         # from them phi itself is uncertain, both at x and at f(x).
-        uncertainty = left_out_error(system, functions.dual_coef, lam, alpha)
+        if alpha > 0 and not system.excess.any():
+            system = _interpolating(system, X, alpha, weights)
+        uncertainty = left_out_error(system, functions.dual_coef, lam)
         residuals = _ratio(uncertainty, size) * np.hypot(1, np.abs(lam))
     else:
         residuals = np.sqrt(_ratio(defect, counted_size))
@@ -109,7 +118,7 @@ def decompose(
     apparent = np.abs(at_first) > MIN_EIGENFUNCTION * size
     factors[apparent] = np.abs(at_first[apparent]) / at_first[apparent]
     factors /= size
-    weights = weights / factors[:, np.newaxis]
+    shares = shares / factors[:, np.newaxis]
     functions = _scale(functions, lam, factors)
     n_kept = len(order)
     if n_modes is not None and n_modes < n_kept:
@@ -118,10 +127,10 @@ def decompose(
         order = order[:n_kept]
     lam, functions = lam[order], functions.take(order)
     if n_kept < len(matrix):
-        weights = best_weights(functions, lam, system.expand(targets), X)
+        shares = best_weights(functions, lam, system.expand(targets), X, weights)
     else:
-        weights = weights[order]
-    return SpectralDecomposition(lam, functions, residuals[order], weights, rcond)
+        shares = shares[order]
+    return SpectralDecomposition(lam, functions, residuals[order], shares, rcond)
 
 
 def eigenvectors(matrix: Array) -> tuple[Complex, Array]:
@@ -170,9 +179,10 @@ def measure(
     X: Array,
     X_next: Array,
     counted: Mask,
+    weights: Array | None = None,
     block_entries: int = ENTRIES_PER_BLOCK,
 ) -> tuple[Array, Array, Array, Complex]:
-    """Measure packed eigenfunctions on pairs of states.
+    """Measure packed eigenfunctions on pairs of states, which weights may multiply.
 
     Returns
     -------
@@ -192,7 +202,7 @@ def measure(
         now = functions(X[rows])
         if rows.start == 0:
             at_first = unpack(now[:1], lam)[0]
-        size += np.einsum("ij,ij->j", now, now)
+        size += _sum_squares(now, None if weights is None else weights[rows])
         kept = counted[rows]
         if not kept.any():
             continue
@@ -201,8 +211,9 @@ def measure(
         # Packed: lambda (a + ib) has the parts Re a - Im b and Re b + Im a.
         then -= now * lam.real
         then += now[:, partner] * lam.imag
-        defect += np.einsum("ij,ij->j", then, then)
-        counted_size += np.einsum("ij,ij->j", now, now)
+        own = None if weights is None else weights[rows][kept]
+        defect += _sum_squares(then, own)
+        counted_size += _sum_squares(now, own)
     pair = partner != np.arange(len(lam))
     for sums in (size, counted_size, defect):
         sums[pair] += sums[partner][pair]
@@ -210,17 +221,13 @@ def measure(
 
 
 def left_out_error(
-    system: DirectSystem, dual_coef: Array, eigenvalues: Complex, alpha: float
+    system: DirectSystem, dual_coef: Array, eigenvalues: Complex
 ) -> Array:
     """Return the rms error of eigenfunctions at centres that are left out, one by one.
 
     In closed form (Rippa 1999). Centres without which no interpolant is determined do
     not count; infinite if there are no others.
     """
-    # A fit of all rows, with all of them as centres, is interpolation with alpha.
-    if alpha > 0 and not system.excess.any():
-        nugget = np.full(len(system.kept), alpha)
-        system = DirectSystem(system.sections, nugget, system.degree, "cholesky")
     precision = system.left_out_precision()
     determined = np.isfinite(precision)
     if not determined.any():
@@ -229,11 +236,32 @@ def left_out_error(
     return np.sqrt(np.square(np.abs(unpack(errors, eigenvalues))).mean(axis=0))
 
 
+def _interpolating(
+    system: DirectSystem, X: Array, alpha: float, weights: Array | None
+) -> DirectSystem:
+    """Return the system of the interpolant that a fit of all rows is.
+
+    With all of them as centres, it has alpha, over the weights, on the diagonal.
+    """
+    points = system.sections.points
+    at_centers = weights_at(points, X, weights)
+    at_centers[at_centers == 0] = 1.0
+    nugget = make_nugget(alpha, at_centers, system.sections.diagonal(points))
+    return DirectSystem(system.sections, nugget, system.degree, "cholesky")
+
+
+def _sum_squares(values: Array, weights: Array | None) -> Array:
+    if weights is None:
+        return np.asarray(np.einsum("ij,ij->j", values, values))
+    return np.asarray(np.einsum("i,ij,ij->j", weights, values, values))
+
+
 def best_weights(
     functions: KernelExpansion,
     eigenvalues: Complex,
     targets: KernelExpansion,
     X: Array,
+    row_weights: Array | None = None,
     block_entries: int = ENTRIES_PER_BLOCK,
 ) -> Complex:
     """Return weights of eigenfunctions that approximate targets best over rows."""
@@ -246,7 +274,10 @@ def best_weights(
     # Row by row into one triangular factor, since normal equations would square the
     # condition number of eigenfunctions that are nearly parallel.
     for rows in gen_batches(len(X), max(block_entries // columns, columns)):
-        stacked = np.vstack([triangle, both(X[rows])])
+        values = both(X[rows])
+        if row_weights is not None:
+            values *= np.sqrt(row_weights[rows, np.newaxis])
+        stacked = np.vstack([triangle, values])
         triangle = np.array(qr(stacked, mode="r")[0][:columns])
     weights = lstsq(triangle[:, :m], triangle[:, m:])[0]
     return unpack_weights(weights, eigenvalues)

@@ -33,7 +33,11 @@ def check_successors(X: Any, X_next: Any) -> Array:
 
 
 def find_successors(
-    X: Array, X_next: Array | None, sample_index: Any, given: tuple[Any, Any]
+    X: Array,
+    X_next: Array | None,
+    sample_index: Any,
+    given: tuple[Any, Any],
+    weights: Array | None = None,
 ) -> tuple[Indices, Array]:
     """Return the rows of X that have a successor, and their successors.
 
@@ -48,6 +52,9 @@ def find_successors(
         a data frame tell which rows follow each other, or else their order.
     given : tuple of two array-likes
         The states and the outputs as the user gave them. The outputs may be None.
+    weights : ndarray of shape (n_samples,), default=None
+        The weights of the rows. One of weight zero starts no pair, and is no successor
+        of another row either.
 
     Returns
     -------
@@ -79,8 +86,9 @@ def find_successors(
             )
         rows, following = successor_rows(sample_index)
     if X_next is not None:
+        present = np.arange(len(X)) if weights is None else np.flatnonzero(weights)
         if sample_index is None or len(rows) == 0:
-            if _is_on_another_scale(X, X_next):
+            if _is_on_another_scale(X[present], X_next[present]):
                 warn(
                     "X_next seems to be on another scale than X, as if a scaler had "
                     "transformed X only. Pass sample_index instead, or set "
@@ -93,11 +101,15 @@ def find_successors(
                 "X_next and sample_index contradict each other; pass one of them. "
                 "Behind a scaler, transform X_next, too (transform_input=['X_next'])."
             )
-        return np.arange(len(X)), X_next
+        return present, X_next[present]
+    if weights is not None:
+        linked = (weights[rows] > 0) & (weights[following] > 0)
+        rows, following = rows[linked], following[linked]
     if len(rows) == 0:
+        kind = "rows" if weights is None else "rows, or none of positive weight"
         raise ValueError(
-            f"Order or sample_index links none of the n_samples={len(X)} rows; pass at "
-            "least two, with consecutive integers along trajectories, or X_next."
+            f"Order or sample_index links none of the n_samples={len(X)} {kind}; pass "
+            "at least two, with consecutive integers along trajectories, or X_next."
         )
     return rows, X[following]
 

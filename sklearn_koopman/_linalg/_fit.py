@@ -8,6 +8,7 @@ from sklearn.utils import gen_batches
 
 from .._matrices._polynomial import is_undetermined
 from .._matrices._sections import KernelExpansion
+from .._utils._rows import total_weight
 from .._utils._typing import Array
 from .._utils._warnings import warn
 
@@ -15,6 +16,9 @@ REMEDY = (
     "Choose centres with a larger separation, lower beta, raise alpha, or take a less "
     "smooth kernel."
 )
+# Outputs whose nugget is this many times larger than the kernel have no say. A still
+# larger one would only hide how well conditioned the rest of the matrix is.
+MAX_NUGGET = 1e10
 # Least squares needs this part of the rows beyond the number of its parameters for an
 # estimate of the noise.
 MIN_SPARE_PART = 1e-6
@@ -31,18 +35,34 @@ class Fit(NamedTuple):
     residual: float | None = None  # likewise: the largest one, relative
 
 
+def make_nugget(alpha: float, weights: Array, diagonal: Array) -> Array:
+    """Return what outputs with these weights add to the diagonal of a Gram matrix."""
+    with np.errstate(over="ignore"):
+        nugget = alpha / weights
+    return np.minimum(nugget, MAX_NUGGET * max(float(diagonal.max()), alpha))
+
+
 def estimate_noise(
-    expansion: KernelExpansion, X: Array, y: Array, dof: float, n_jobs: int | None
+    expansion: KernelExpansion,
+    X: Array,
+    y: Array,
+    dof: float,
+    n_jobs: int | None,
+    weights: Array | None = None,
 ) -> Array | None:
     """Return the standard deviation of every output about a fit of all rows."""
     squares = np.zeros(y.shape[1])
     for rows in gen_batches(len(X), 2**13):
-        squares += np.square(y[rows] - expansion(X[rows], n_jobs)).sum(axis=0)
-    return scale_residuals(np.sqrt(squares), len(X), dof)
+        own = np.square(y[rows] - expansion(X[rows], n_jobs))
+        squares += own.sum(axis=0) if weights is None else weights[rows] @ own
+    return scale_residuals(np.sqrt(squares), total_weight(X, weights), dof)
 
 
-def scale_residuals(norms: Array, n_rows: int, dof: float) -> Array | None:
-    """Turn norms of residuals into standard deviations, if there are rows to spare."""
+def scale_residuals(norms: Array, n_rows: float, dof: float) -> Array | None:
+    """Turn norms of residuals into standard deviations, if there are rows to spare.
+
+    Weights count as numbers of rows.
+    """
     spare = n_rows - dof
     return norms / np.sqrt(spare) if spare > MIN_SPARE_PART * n_rows else None
 
@@ -52,7 +72,7 @@ def relative_error(reached: Array, wanted: Array) -> float:
     return float(np.abs(reached - wanted).max() / (np.abs(wanted).max() or 1.0))
 
 
-def negligible_tolerance(n_rows: int, alpha: float) -> float:
+def negligible_tolerance(n_rows: float, alpha: float) -> float:
     """Return the tolerance up to which dropping centres does not matter to a fit.
 
     By |<r, e>| <= sqrt(n) |r| sup|e|, a section that the others reproduce to

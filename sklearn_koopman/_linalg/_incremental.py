@@ -10,6 +10,7 @@ from scipy.linalg.blas import dgemm
 
 from .._matrices._polynomial import PolynomialTrend
 from .._matrices._sections import KernelSections, gram_matrix, matrix
+from .._utils._rows import total_weight
 from .._utils._typing import Array
 from ._cholesky import MIN_RCOND, exact_rcond, pivot_rcond
 from ._fit import Fit, check_trend_determined, relative_error, scale_residuals
@@ -198,28 +199,32 @@ class GrowingLeastSquares:
 
     system: DirectSystem
     equations: NormalEquations
-    n_rows: int
+    weight: float  # of all rows; their number if they have none
 
     @classmethod
-    def over(cls, system: DirectSystem, X: Array, y: Array) -> Self:
+    def over(
+        cls, system: DirectSystem, X: Array, y: Array, weights: Array | None = None
+    ) -> Self:
         """Start with the first rows."""
         equations = NormalEquations.empty(system, system.lower, y.shape[1])
         check_trend_determined(system.degree, X, system.sections.points)
-        equations.add(system, X, y.__getitem__)
-        return cls(system, equations, len(X))
+        equations.add(system, X, y.__getitem__, weights)
+        return cls(system, equations, total_weight(X, weights))
 
-    def add(self, X: Array, y: Array, alpha: float) -> Fit:
+    def add(
+        self, X: Array, y: Array, alpha: float, weights: Array | None = None
+    ) -> Fit:
         """Add rows and return `fit`; if there is none, the rows do not count."""
         check_trend_determined(self.system.degree, X, self.system.sections.points)
-        n_rows, before = self.n_rows, self.equations.copy()
+        weight, before = self.weight, self.equations.copy()
         try:
-            self.equations.add(self.system, X, y.__getitem__)
-            self.n_rows += len(X)
+            self.equations.add(self.system, X, y.__getitem__, weights)
+            self.weight += total_weight(X, weights)
             return self.fit(X, alpha)
         except BaseException:  # of a kernel, or an interruption, too
             np.copyto(self.equations.upper, before.upper)
             before.upper = self.equations.upper
-            self.n_rows, self.equations = n_rows, before
+            self.weight, self.equations = weight, before
             raise
 
     def fit(self, X: Array, alpha: float) -> Fit:
@@ -234,5 +239,5 @@ class GrowingLeastSquares:
         F = np.empty_like(system.lower)
         z, b, dof = self.equations.solve(system, alpha, F)
         norms = self.equations.residual_norms(z, b)
-        noise_std = scale_residuals(norms, self.n_rows, dof)
+        noise_std = scale_residuals(norms, self.weight, dof)
         return system.fit_at(X, z, b, dof)._replace(noise_std=noise_std)

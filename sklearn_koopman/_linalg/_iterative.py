@@ -24,6 +24,7 @@ from .._matrices._sections import (
     sparse_matrix,
     sparse_tree,
 )
+from .._utils._rows import total_weight
 from .._utils._typing import Array, Indices
 from .._utils._warnings import warn
 from ..solvers import ConjugateGradient
@@ -117,12 +118,12 @@ class IterativeSystem:
             self.product = K.__matmul__
             if kind in ("auto", "banded"):
                 kind = self._factor_band(K, max_banded_operations)
-        shift = float(self.excess.mean())
-        if kind == "nystroem" or (kind == "auto" and shift > 0):
+        least = float(self.excess.min())
+        if kind == "nystroem" or (kind == "auto" and least > 0):
             F, remainder = self._pivoted_factor()
-            if kind == "nystroem" or remainder <= NYSTROEM_REMAINDER * shift:
+            if kind == "nystroem" or remainder <= NYSTROEM_REMAINDER * least:
                 kind = "nystroem"
-                self.precondition = low_rank_inverse(F, shift + remainder)
+                self.precondition = low_rank_inverse(F, self.excess + remainder)
         if kind in ("auto", "neighbors"):
             self.W = self._neighbor_root(diagonal)
             self.precondition = _whiten(self.W)
@@ -154,7 +155,12 @@ class IterativeSystem:
         return self._fit(found, found.x, trend_coef, seminorm, dof)
 
     def least_squares(
-        self, X: Array, y: Array, alpha: float, n_jobs: int | None = None
+        self,
+        X: Array,
+        y: Array,
+        alpha: float,
+        n_jobs: int | None = None,
+        weights: Array | None = None,
     ) -> Fit:
         """Return the function g that minimises |y - g(X)|^2 + alpha |g|_H^2.
 
@@ -172,28 +178,38 @@ class IterativeSystem:
 
             H H^T = W F F^T F F^T W^T.
 
+        With weights, y and the rows of k and T are multiplied by their roots, and n is
+        the sum of the weights.
+
         Raises and warns as `interpolate`.
         """
-        sections = self.sections
-        M, n, n_outputs = sections.size, len(X), y.shape[1]
-        check_rows_suffice(n, M, alpha)
+        sections, outputs = self.sections, y
+        M, n, n_outputs = sections.size, total_weight(X, weights), y.shape[1]
+        check_rows_suffice(len(X), M, alpha)
         check_trend_determined(self.degree, X, sections.centers)
-        T, axes = np.empty((n, 0)), np.empty((0, 0))
+        T, axes = np.empty((len(X), 0)), np.empty((0, 0))
         if self.trend is not None:
-            U, lengths, V = np.linalg.svd(self.trend.values(X), full_matrices=False)
+            P = _weighted(self.trend.values(X), weights)
+            U, lengths, V = np.linalg.svd(P, full_matrices=False)
             determined = lengths > MIN_RELATIVE_LENGTH * lengths[0]
             T = U[:, determined]
             axes = V[determined].T / lengths[determined]
         tree = sparse_tree(sections, X, MAX_DENSITY_TO_HOLD)
-        forward: Product
-        backward: Product
+        multiply: Product
+        transposed: Product
         if tree is not None:
             k = sparse_matrix(sections, X, tree)
-            forward, backward = k.__matmul__, k.T.tocsr().__matmul__
+            multiply, transposed = k.__matmul__, k.T.tocsr().__matmul__
         else:
             rows = KernelSections(sections.kernel, X)
-            forward = partial(product, sections, X, n_jobs=n_jobs)
-            backward = partial(product, rows, sections.centers, n_jobs=n_jobs)
+            multiply = partial(product, sections, X, n_jobs=n_jobs)
+            transposed = partial(product, rows, sections.centers, n_jobs=n_jobs)
+
+        def forward(c: Array) -> Array:
+            return _weighted(multiply(c), weights)
+
+        def backward(v: Array) -> Array:
+            return transposed(_weighted(v, weights))
 
         def normal(c: Array) -> Array:
             return backward(complement(T, forward(c))) + alpha * self.product(c)
@@ -213,7 +229,8 @@ class IterativeSystem:
         # over random vectors v, v^T H v (Hutchinson 1989).
         random = check_random_state(self.solver.random_state)
         n_probes = N_PROBE_VECTORS if alpha > 0 else 0
-        signs = random.choice([-1.0, 1.0], size=(n, n_probes))
+        signs = random.choice([-1.0, 1.0], size=(len(X), n_probes))
+        y = _weighted(y, weights)
         b = backward(beyond_rounding(np.hstack([y, signs]), T))
         found = self._solve(normal, b, _whiten(W, inner))
         dual_coef = np.ascontiguousarray(found.x[:, :n_outputs])
@@ -230,7 +247,7 @@ class IterativeSystem:
         seminorm = np.sqrt(np.maximum(squared, 0.0))
         dof = kernel_dof + T.shape[1]
         fit = self._fit(found, dual_coef, trend_coef, seminorm, dof)
-        noise_std = estimate_noise(fit.expansion, X, y, dof, n_jobs)
+        noise_std = estimate_noise(fit.expansion, X, outputs, dof, n_jobs, weights)
         return fit._replace(noise_std=noise_std)
 
     def power(
@@ -365,6 +382,11 @@ class IterativeSystem:
         # Weights that have diverged are worse than those at first.
         quadratic = np.fmin(quadratic, at_first)
         return np.maximum(self.sections.diagonal(X) + quadratic, 0.0), found
+
+
+def _weighted(values: Array, weights: Array | None) -> Array:
+    """Multiply rows by the roots of their weights."""
+    return values if weights is None else np.sqrt(weights)[:, np.newaxis] * values
 
 
 def _dense_root(sections: KernelSections) -> Array:

@@ -6,7 +6,8 @@ rows, they are
     [A A^T + alpha I   A T^T] [z]   [A y]
     [    T A^T         T T^T] [b] = [T y]
 
-of which z is eliminated. Their sums over rows can be extended and added up.
+of which z is eliminated. Their sums over rows can be extended and added up. Where rows
+have weights, A, T and y are multiplied by the roots of these.
 """
 
 from collections.abc import Callable, Iterator
@@ -84,11 +85,23 @@ class NormalEquations:
         """Return a copy that shares nothing."""
         return deepcopy(self)
 
-    def add(self, basis: OrthonormalBasis, X: Array, y: Outputs) -> None:
+    def add(
+        self,
+        basis: OrthonormalBasis,
+        X: Array,
+        y: Outputs,
+        weights: Array | None = None,
+    ) -> None:
         """Add rows."""
         for rows in gen_batches(len(X), rows_per_block(len(self.upper))):
             a, t = basis.design(X[rows])
-            values = y(rows)
+            values, diagonal = y(rows), basis.sections.diagonal(X[rows])
+            if weights is not None:
+                root = np.sqrt(weights[rows])
+                a *= root
+                t *= root
+                values = values * root[:, np.newaxis]
+                diagonal = diagonal * weights[rows]
             with _diagonal(self.upper, self.squares):
                 dsyrk(1.0, a, 1.0, self.upper, overwrite_c=1)
             self.Ay += dgemm(1.0, a, values)
@@ -97,7 +110,7 @@ class NormalEquations:
                 self.Ty += dgemm(1.0, t, values)
                 self.TT += dgemm(1.0, t, t, trans_b=1)
             self.yy += np.einsum("ij,ij->j", values, values)
-            self.diagonal += float(basis.sections.diagonal(X[rows]).sum())
+            self.diagonal += float(diagonal.sum())
 
     def merge(self, other: Self) -> None:
         """Add the sums over other rows."""
@@ -193,10 +206,11 @@ def least_squares(
     n_outputs: int,
     alpha: float,
     n_jobs: int | None = None,
+    weights: Array | None = None,
 ) -> tuple[Array, Array, float]:
     """Minimise |y - g(X)|^2 + alpha |g|_H^2; see `NormalEquations.solve`."""
     F = basis.lower
-    equations = sum_normal_equations(basis, F, X, y, n_outputs, n_jobs)
+    equations = sum_normal_equations(basis, F, X, y, n_outputs, n_jobs, weights)
     return equations.solve(basis, alpha, F)
 
 
@@ -207,20 +221,23 @@ def sum_normal_equations(
     y: Outputs,
     n_outputs: int,
     n_jobs: int | None = None,
+    weights: Array | None = None,
     parallel_operations: float = PARALLEL_OPERATIONS,
 ) -> NormalEquations:
     """Sum over all rows; by joblib's workers, a share of the rows each, if asked."""
     equations = NormalEquations.empty(basis, upper, n_outputs)
     n_workers = effective_n_jobs(n_jobs)
     if n_workers == 1 or len(X) * len(basis.Q) ** 2 < parallel_operations:
-        equations.add(basis, X, y)
+        equations.add(basis, X, y, weights)
         return equations
     try:
         parallel = Parallel(n_jobs=n_jobs, return_as="generator")
     except ValueError:  # not every backend returns its results one by one
         parallel = Parallel(n_jobs=n_jobs)
     parts = parallel(
-        delayed(_sum_share)(basis, X[rows], y(rows))
+        delayed(_sum_share)(
+            basis, X[rows], y(rows), None if weights is None else weights[rows]
+        )
         for rows in gen_batches(len(X), -(-len(X) // n_workers))
     )
     for part in parts:
@@ -228,10 +245,12 @@ def sum_normal_equations(
     return equations
 
 
-def _sum_share(basis: OrthonormalBasis, X: Array, y: Array) -> NormalEquations:
+def _sum_share(
+    basis: OrthonormalBasis, X: Array, y: Array, weights: Array | None
+) -> NormalEquations:
     upper = np.empty(basis.lower.shape, order="F")
     equations = NormalEquations.empty(basis, upper, y.shape[1])
-    equations.add(basis, X, y.__getitem__)
+    equations.add(basis, X, y.__getitem__, weights)
     return equations
 
 

@@ -11,7 +11,8 @@ and the other centres predict u[S] - e at those of the fold (block inversion).
 
 Least squares. F of shape (M, n) holds the values of M basis functions on all n rows.
 With the penalty E of their coefficients, the normal matrix is N = F F^T + E and the
-hat matrix H = F^T N^-1 F. A fold without the rows S has the same predictions from two
+hat matrix H = F^T N^-1 F. Where rows have weights, F and y are multiplied by their
+roots. A fold without the rows S has the same predictions from two
 systems, of which the smaller one is solved: that of F F^T and F y summed up over the
 other rows, of size M, or that of the residuals r = y - H y, of the size of S:
 
@@ -38,6 +39,7 @@ from ._cholesky import (
     pivot_rcond,
     probe_rcond,
 )
+from ._fit import make_nugget
 
 # Largest error of the interpolant at the centres, relative to the outputs.
 MAX_MISFIT = 1e-6
@@ -109,7 +111,8 @@ def leave_out_interpolation(
     outcomes: list[Predictions | ValueError] = []
     for alpha in alphas:
         try:
-            outcomes.append(_interpolate(K, noise + alpha * weight, P, u, folds))
+            nugget = make_nugget(alpha, 1 / weight, K.diagonal() + noise)
+            outcomes.append(_interpolate(K, noise + nugget, P, u, folds))
         except np.linalg.LinAlgError as error:
             outcomes.append(error)
     return outcomes
@@ -175,6 +178,7 @@ def leave_out_least_squares(
     alphas: Sequence[float],
     *,
     is_verified: bool,
+    weights: Array | None = None,
 ) -> list[Predictions]:
     """Predict the test rows of all folds by least squares, for every alpha.
 
@@ -193,6 +197,8 @@ def leave_out_least_squares(
     is_verified : bool
         Whether an estimate with these centres is known to be accurate although their
         matrix is nearly singular.
+    weights : ndarray of shape (n_samples,), default=None
+        Positive weights of the squared residuals.
 
     Returns
     -------
@@ -216,6 +222,11 @@ def leave_out_least_squares(
         t = np.linalg.solve(R.T, P[rows].T) - dgemm(1.0, Q, F, trans_a=1)
         F = dgemm(1.0, Q, t, 1.0, F, overwrite_c=1)
     penalty = np.eye(M) - Q @ Q.T
+    root = None
+    if weights is not None:
+        root = np.sqrt(weights)[:, np.newaxis]
+        F *= root.T
+        y = root * y
 
     predictions: list[Predictions] = [[None] * len(folds) for _ in alphas]
     usable = [i for i, fold in enumerate(folds) if (fold.places >= 0).all()]
@@ -246,6 +257,11 @@ def leave_out_least_squares(
                     with suppress(np.linalg.LinAlgError):
                         e = _solve(rest, residual[S], np.ones(len(S)), min_rcond)
                         own[i] = (y[S] - e)[folds[i].places]
+    if root is not None:
+        for own in predictions:
+            for fold, values in zip(folds, own, strict=True):
+                if values is not None:
+                    values /= root[fold.test]
     return predictions
 
 

@@ -211,8 +211,13 @@ def pivoted_factor(
     return F, float(left.mean())
 
 
-def low_rank_inverse(F: Array, shift: float) -> Product:
-    """Return v -> (F F^T + shift I)^-1 v."""
+def low_rank_inverse(F: Array, shift: Array | float) -> Product:
+    """Return v -> (F F^T + D)^-1 v for a diagonal D, given by one or all entries."""
+    if np.ndim(shift) and np.ptp(shift) > 0:
+        root = np.sqrt(shift)[:, np.newaxis]
+        inverse = low_rank_inverse(F / root, 1.0)
+        return lambda v: inverse(v / root) / root
+    shift = float(np.max(shift))
     if not F.shape[1]:
         return lambda v: v / shift
     Q, R = qr(F, mode="economic")

@@ -38,6 +38,7 @@ from .._matrices._sections import (
     sparse_tree,
 )
 from .._utils._parallel import by_rows
+from .._utils._rows import total_weight
 from .._utils._typing import Array, Indices
 from ..solvers import ConjugateGradient
 from ._cholesky import RCOND_TO_VERIFY, factorize, independent_centers, rows_per_block
@@ -92,9 +93,17 @@ class System(Protocol):
         """Return the function with the values u at the centres."""
 
     def least_squares(
-        self, X: Array, y: Array, alpha: float, n_jobs: int | None = None
+        self,
+        X: Array,
+        y: Array,
+        alpha: float,
+        n_jobs: int | None = None,
+        weights: Array | None = None,
     ) -> Fit:
-        """Return the function g that minimises |y - g(X)|^2 + alpha |g|_H^2."""
+        """Return the function g that minimises |y - g(X)|^2 + alpha |g|_H^2.
+
+        With weights of the rows, the squares are multiplied by them.
+        """
 
     def power(self, X: Array, n_jobs: int | None = None) -> Array:
         """Evaluate the power function."""
@@ -147,17 +156,25 @@ def make_system(
 
 
 def interpolate_every_row(
-    system: System, u: Array, X: Array, y: Array, alpha: float, n_jobs: int | None
+    system: System,
+    u: Array,
+    X: Array,
+    y: Array,
+    alpha: float,
+    n_jobs: int | None,
+    weights: Array | None = None,
 ) -> Fit:
     """Return the least-squares fit of all rows if every row is a centre.
 
     By the representer theorem its coefficients are (K + alpha I)^-1 u: it is the
-    interpolant of the outputs u, means of equal rows, with alpha on the diagonal.
+    interpolant of the outputs u, means of equal rows, with alpha on the diagonal, over
+    the weight of the rows.
     """
-    fit = system.interpolate(u, negligible_tolerance(len(X), alpha))
+    fit = system.interpolate(u, negligible_tolerance(total_weight(X, weights), alpha))
     if alpha > 0:
         return fit
-    noise_std = estimate_noise(fit.expansion, X, y, fit.effective_dof, n_jobs)
+    dof = fit.effective_dof
+    noise_std = estimate_noise(fit.expansion, X, y, dof, n_jobs, weights)
     return fit._replace(noise_std=noise_std)
 
 
@@ -269,21 +286,31 @@ class DirectSystem:
         return self.until_sound(attempt, negligible)
 
     def least_squares(
-        self, X: Array, y: Array, alpha: float, n_jobs: int | None = None
+        self,
+        X: Array,
+        y: Array,
+        alpha: float,
+        n_jobs: int | None = None,
+        weights: Array | None = None,
     ) -> Fit:
         """Return the function g that minimises |y - g(X)|^2 + alpha |g|_H^2.
 
-        Raises and warns as `interpolate`; O(n M^2) operations.
+        With weights of the rows, the squares are multiplied by them. Raises and warns
+        as `interpolate`; O(n M^2) operations.
         """
         check_rows_suffice(len(X), self.offered.size, alpha)
 
         def attempt() -> Fit:
             check_trend_determined(self.degree, X, self.sections.points)
-            solution = least_squares(self, X, y.__getitem__, y.shape[1], alpha, n_jobs)
+            solution = least_squares(
+                self, X, y.__getitem__, y.shape[1], alpha, n_jobs, weights
+            )
             return self.fit_at(X, *solution)
 
-        fit = self.until_sound(attempt, negligible_tolerance(len(X), alpha))
-        noise = estimate_noise(fit.expansion, X, y, fit.effective_dof, n_jobs)
+        negligible = negligible_tolerance(total_weight(X, weights), alpha)
+        fit = self.until_sound(attempt, negligible)
+        dof = fit.effective_dof
+        noise = estimate_noise(fit.expansion, X, y, dof, n_jobs, weights)
         return fit._replace(noise_std=noise)
 
     def fit_at(self, X: Array, z: Array, b: Array, dof: float) -> Fit:
@@ -302,10 +329,17 @@ class DirectSystem:
         return Fit(expansion, np.linalg.norm(z, axis=0), dof)
 
     def fit_coordinates(
-        self, X: Array, y: Array, alpha: float, n_jobs: int | None = None
+        self,
+        X: Array,
+        y: Array,
+        alpha: float,
+        n_jobs: int | None = None,
+        weights: Array | None = None,
     ) -> Array:
         """Return coordinates, as those of `functions`, of a least-squares fit."""
-        z, b, _ = least_squares(self, X, y.__getitem__, y.shape[1], alpha, n_jobs)
+        z, b, _ = least_squares(
+            self, X, y.__getitem__, y.shape[1], alpha, n_jobs, weights
+        )
         return z + self.Q @ b
 
     def power(self, X: Array, n_jobs: int | None = None) -> Array:

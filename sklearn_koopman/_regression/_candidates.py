@@ -7,6 +7,7 @@ a closed form where that applies, and else from refits of the regressor.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from inspect import signature
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -30,7 +31,6 @@ class Split(NamedTuple):
 
     out: Indices  # rows that are not among the training rows
     test: Indices
-    order: Indices | None  # the training rows, where they are not in rising order
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,8 @@ class Problem:
     centers: Array  # no two are equal
     splits: list[Split]
     regressor: Any  # not fitted, with the parameters that the candidates share
-    every_row: bool  # every row is a centre; equal rows count by their mean
+    every_row: bool  # every row is a centre
+    weights: Array | None = None  # of the rows, all positive
 
     @property
     def interpolates(self) -> bool:
@@ -61,28 +62,23 @@ class Problem:
     def outputs(self) -> tuple[Array, Array]:
         """Outputs of the centres, and their diagonal in units of alpha."""
         M, place, y = len(self.centers), self.table[1], self.y.reshape(len(self.y), -1)
-        if self.every_row:
-            return group_means(y, place)[:M], 1 / np.bincount(place)[:M]
-        _, first = np.unique(place, return_index=True)
-        return y[first[:M]], np.ones(M)
+        means = group_means(y, place, self.weights)[:M]
+        return means, 1 / np.bincount(place, self.weights)[:M]
 
     @cached_property
     def folds(self) -> list[Fold]:
         """The folds as the closed form takes them."""
         if not self.interpolates:
-            return [Fold(out, test) for out, test, _ in self.splits]
+            return [Fold(out, test) for out, test in self.splits]
         M, place = len(self.centers), self.table[1]
         size = np.bincount(place, minlength=M)[:M]
-        has_equal = bool((size > 1).any())
         folds = []
-        for rows, test, order in self.splits:
+        for rows, test in self.splits:
             out, lost = np.unique(place[rows], return_counts=True)
             out, lost = out[out < M], lost[out < M]
-            # The outputs of centres that stay change if equal rows go, or if the order
-            # of equal rows is another one.
+            # The outputs of centres that stay change if equal rows go.
             is_gone = lost == size[out]
-            is_changed = not is_gone.all() or (has_equal and order is not None)
-            is_changed |= is_gone.sum() == M
+            is_changed = not is_gone.all() or is_gone.sum() == M
             folds.append(Fold(out[is_gone], place[test], is_changed))
         return folds
 
@@ -131,7 +127,9 @@ class Problem:
                 )
             y = self.y.reshape(len(self.y), -1)
             return leave_out_least_squares(
-                K, noise, P, place, y, self.folds, alphas, is_verified=is_verified
+                *(K, noise, P, place, y, self.folds, alphas),
+                is_verified=is_verified,
+                weights=self.weights,
             )
         except np.linalg.LinAlgError as error:
             return [error] * len(alphas)
@@ -145,25 +143,25 @@ class Problem:
             If the regressor has no estimate on all rows.
         """
         centers = None if self.every_row else self.centers
-        model = self._fit(kernel, alpha, centers, self.X, self.y)
+        model = self._fit(kernel, alpha, centers, np.arange(len(self.X)))
         kept = replace(self, centers=model.centers_)
         [found] = kept._leave_out(kernel, [alpha], is_verified=True)
         return [None] * len(self.splits) if isinstance(found, ValueError) else found
 
     def _refit(self, kernel: Any, alpha: float, split: Split) -> Array:
-        train = split.order
-        if train is None:
-            train = np.delete(np.arange(len(self.X)), split.out)
+        train = np.delete(np.arange(len(self.X)), split.out)
         centers = None if self.every_row else self.centers
         if centers is not None and self.interpolates:
             place = self.table[1][train]
             centers = centers[np.isin(np.arange(len(centers)), place)]
-        model = self._fit(kernel, alpha, centers, self.X[train], self.y[train])
+        model = self._fit(kernel, alpha, centers, train)
         return np.reshape(model.predict(self.X[split.test]), (len(split.test), -1))
 
-    def _fit(self, kernel: Any, alpha: float, centers: Any, X: Array, y: Array) -> Any:
+    def _fit(self, kernel: Any, alpha: float, centers: Any, rows: Indices) -> Any:
         model = clone(self.regressor)
-        return model.set_params(kernel=kernel, alpha=alpha, centers=centers).fit(X, y)
+        model.set_params(kernel=kernel, alpha=alpha, centers=centers)
+        weights = None if self.weights is None else self.weights[rows]
+        return model.fit(self.X[rows], self.y[rows], weights)
 
 
 class IdentityRegressor(RegressorMixin, BaseEstimator):
@@ -181,6 +179,12 @@ def negative_squared_errors(estimator: Any, X: Array, y: Array) -> Array:
     return -np.square(X - y).reshape(len(y), -1).mean(axis=1)
 
 
+def takes_weights(scorer: Any) -> bool:
+    """Tell whether a scorer, or the metric that it was made of, takes weights."""
+    metric = getattr(scorer, "_score_func", scorer)
+    return "sample_weight" in signature(metric).parameters
+
+
 def score_kernel(
     kernel: Any, problem: Problem, alphas: Sequence[float], scorer: Any, pooled: bool
 ) -> list[Array | ValueError]:
@@ -193,19 +197,29 @@ def score_kernel(
         if isinstance(found, ValueError):
             outcomes.append(found)
             continue
-        outputs = [problem.y[split.test] for split in problem.splits]
+        tests: list[Any] = [split.test for split in problem.splits]
         if pooled:
-            found, outputs = [np.concatenate(found)], [problem.y]
-        pairs = zip(found, outputs, strict=True)
-        scores = [scorer(IdentityRegressor(), own, y) for own, y in pairs]
+            found, tests = [np.concatenate(found)], [slice(None)]
+        scores = []
+        for own, rows in zip(found, tests, strict=True):
+            options = {}
+            if problem.weights is not None and takes_weights(scorer):
+                options["sample_weight"] = problem.weights[rows]
+            scores.append(scorer(IdentityRegressor(), own, problem.y[rows], **options))
         outcomes.append(np.hstack(scores))
     return outcomes
 
 
 def tabulate(
-    params: list[dict[str, Any]], outcomes: Sequence[Array | ValueError], by_fold: bool
+    params: list[dict[str, Any]],
+    outcomes: Sequence[Array | ValueError],
+    by_fold: bool,
+    weights: Array | None = None,
 ) -> tuple[dict[str, Any], list[str]]:
-    """Tabulate the scores as GridSearchCV does, and name candidates without any."""
+    """Tabulate the scores as GridSearchCV does, and name candidates without any.
+
+    Weights are those of the scores in their mean and standard deviation.
+    """
     failed, rows = [], []
     for candidate, outcome in zip(params, outcomes, strict=True):
         if isinstance(outcome, ValueError):
@@ -213,7 +227,7 @@ def tabulate(
             outcome = np.array(np.nan)
         rows.append(outcome)
     scores = np.vstack(np.broadcast_arrays(*rows))
-    mean = scores.mean(axis=1)
+    mean = np.average(scores, axis=1, weights=weights)
     if np.isnan(mean).all():
         reason = failed[0] if failed else "the scores themselves are nan"
         raise ValueError(
@@ -230,7 +244,8 @@ def tabulate(
         for i, column in enumerate(scores.T):
             results[f"split{i}_test_score"] = column.copy()
     results["mean_test_score"] = mean
-    results["std_test_score"] = scores.std(axis=1)
+    squares = np.square(scores - mean[:, np.newaxis])
+    results["std_test_score"] = np.sqrt(np.average(squares, axis=1, weights=weights))
     worst = np.nan_to_num(mean, nan=np.nanmin(mean) - 1)
     results["rank_test_score"] = rankdata(-worst, method="min").astype(np.int32)
     return results, failed

@@ -10,6 +10,7 @@ from .._linalg._fit import (
     REMEDY,
     Fit,
     check_rows_suffice,
+    make_nugget,
     negligible_tolerance,
     scale_residuals,
 )
@@ -19,11 +20,13 @@ from .._matrices._polynomial import DEGREES
 from .._matrices._sections import KernelSections, Sections
 from .._utils._rows import (
     AveragedOutputs,
+    average_at,
     average_equal_rows,
     spread,
+    total_weight,
     warn_without_spread,
 )
-from .._utils._typing import Array
+from .._utils._typing import Array, Indices
 from ..centers import SeparatedCenterSelector, resolve_separation
 from ..kernels import as_kernel
 from ..solvers import ConjugateGradient
@@ -90,10 +93,13 @@ def check_batch(model: Any, system: DirectSystem, y: Array) -> None:
 def add_centers(
     system: DirectSystem,
     averages: AveragedOutputs,
-    n_rows: int,
     model: Any,
     X: Array,
     y: Array,
+    weights: Array | None,
+    numbers: Indices,
+    n_rows: int,
+    weight: float,
 ) -> Estimate:
     """Return an interpolant with the rows of a batch that become centres.
 
@@ -106,14 +112,18 @@ def add_centers(
         That of the batches before.
     averages : AveragedOutputs
         The outputs at its centres.
-    n_rows : int
-        The number of rows before.
     model : KoopmanKernelRegressor
         For its parameters, and the numbers of the rows that are centres.
     X : ndarray of shape (n_samples, n_features)
         The states of the batch.
     y : ndarray of shape (n_samples, n_outputs)
         Their outputs.
+    weights : ndarray of shape (n_samples,) or None
+        Their weights, if they have any.
+    numbers : ndarray of shape (n_samples,)
+        Their numbers, counted through all batches.
+    n_rows, weight : int, float
+        The number of all rows, with the batch, and the sum of their weights.
 
     Returns
     -------
@@ -127,8 +137,8 @@ def add_centers(
     """
     known, before = system.sections, averages.means
     points = np.vstack([known.points, X])
-    numbers = np.append(model.center_indices_, n_rows + np.arange(len(X)))
-    averages = averages.joined(y)
+    numbers = np.append(model.center_indices_, numbers)
+    averages = averages.joined(y, weights)
     fits = model.method == "least_squares"
     if model.centers is None:
         exact = model.alpha == 0 and not fits
@@ -139,9 +149,10 @@ def add_centers(
         selector.separation = resolve_separation(selector.separation, scale)
         selector.partial_fit(known.points).partial_fit(X)
         chosen = selector.center_indices_
-        averages = averages.take(chosen)
+        averages = average_at(points[chosen], points, averages)
     sections = KernelSections(known.kernel, points[chosen])
-    nugget, u = model.alpha / averages.counts, averages.means
+    diagonal = sections.diagonal(sections.centers)
+    nugget, u = make_nugget(model.alpha, averages.counts, diagonal), averages.means
     try:
         growing = system
         if not isinstance(growing, GrowingSystem):
@@ -150,32 +161,36 @@ def add_centers(
         fit = system.interpolate(u)
     except np.linalg.LinAlgError:  # too few digits are left for an update
         system = DirectSystem(sections, nugget, DEGREES[model.trend], system.solver)
-        n_seen = n_rows + len(X)
-        negligible = negligible_tolerance(n_seen, model.alpha) if fits else 0.0
+        negligible = negligible_tolerance(weight, model.alpha) if fits else 0.0
         fit = system.interpolate(u, negligible)
     averages = keep_averages(averages, fit, system.kept, sections.centers)
-    rows, n_rows = numbers[chosen][system.kept], n_rows + len(X)
+    rows = numbers[chosen][system.kept]
     if fits and model.alpha == 0:
         norms = np.sqrt(averages.scatter)
-        noise_std = scale_residuals(norms, n_rows, fit.effective_dof)
+        noise_std = scale_residuals(norms, weight, fit.effective_dof)
         fit = fit._replace(noise_std=noise_std)
-    return Estimate(system, fit, rows, averages, n_rows)
+    return Estimate(system, fit, rows, averages, n_rows, weight)
 
 
-def start_by_fit(model: Any, X: Any, y: Any) -> Any:
+def start_by_fit(model: Any, X: Any, y: Any, sample_weight: Any) -> Any:
     """Fit an interpolant to the first batch, and return the model.
 
     A first batch may be so short that it has one centre only.
     """
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "separation=.* leaves 1 centre")
-        model.fit(X, y)
+        model.fit(X, y, sample_weight)
     warn_without_spread(model, model._spread)
     return model
 
 
 def start_least_squares(
-    sections: Sections, model: Any, X: Array, y: Array, scale: float
+    sections: Sections,
+    model: Any,
+    X: Array,
+    y: Array,
+    weights: Array | None,
+    scale: float,
 ) -> tuple[GrowingLeastSquares, Estimate]:
     """Return least squares at given centres for the first batch.
 
@@ -191,16 +206,19 @@ def start_least_squares(
     system = DirectSystem(sections, nugget, degree, solver)
 
     def start() -> tuple[GrowingLeastSquares, Fit]:
-        growth = GrowingLeastSquares.over(system, X, y)
+        growth = GrowingLeastSquares.over(system, X, y, weights)
         return growth, growth.fit(X, model.alpha)
 
-    negligible = negligible_tolerance(len(X), model.alpha)
+    weight = total_weight(X, weights)
+    negligible = negligible_tolerance(weight, model.alpha)
     growth, fit = system.until_sound(start, negligible)
     warn_without_spread(model, scale)
-    return growth, Estimate(system, fit, None, None, len(X))
+    return growth, Estimate(system, fit, None, None, len(X), weight)
 
 
-def add_rows(growth: GrowingLeastSquares, alpha: float, X: Array, y: Array) -> Estimate:
+def add_rows(
+    growth: GrowingLeastSquares, alpha: float, X: Array, y: Array, weights: Array | None
+) -> Estimate:
     """Return least squares with the rows of a further batch.
 
     O(n M^2) operations for n rows.
@@ -211,10 +229,10 @@ def add_rows(growth: GrowingLeastSquares, alpha: float, X: Array, y: Array) -> E
         If there is no estimate; the sums are then those of the batches before.
     """
     try:
-        fit = growth.add(X, y, alpha)
+        fit = growth.add(X, y, alpha, weights)
     except np.linalg.LinAlgError as error:
         raise ValueError(f"No estimate with these rows: {error}. {REMEDY}") from error
-    return Estimate(growth.system, fit, None, None, growth.n_rows)
+    return Estimate(growth.system, fit, None, None, len(X), growth.weight)
 
 
 def _first_spread(model: Any, points: Array) -> float:

@@ -1,4 +1,4 @@
-"""Rows: how far they spread, which are equal, and the means of their outputs."""
+"""Rows: their spread, their weights, which are equal, and means of their outputs."""
 
 from typing import Any, NamedTuple, Self
 
@@ -6,10 +6,13 @@ import numpy as np
 from sklearn.utils import gen_batches
 
 from ._typing import Array, Indices
+from ._validation import check_sample_weight
 from ._warnings import warn
 
 # Rows that are compared with their mean at a time, so that no copy of all is made.
 CHUNK_ROWS = 2**12
+# Rows whose keys are computed at a time, so that they stay in the cache.
+KEY_ROWS = 2**13
 
 
 def spread(X: Array, sample_weight: Array | None = None) -> float:
@@ -92,6 +95,44 @@ def warn_without_spread(estimator: Any, spread: float) -> None:
         )
 
 
+def drop_absent(
+    sample_weight: Any, X: Array, y: Array
+) -> tuple[Array | None, Indices, Array, Array]:
+    """Drop the rows of weight zero.
+
+    Parameters
+    ----------
+    sample_weight : array-like of shape (n_samples,) or None
+        The weights, as the user gives them.
+    X, y : ndarray of shape (n_samples, ...)
+        The data.
+
+    Returns
+    -------
+    weights : ndarray of shape (n_present,) or None
+        The weights that are positive; None if none were given.
+    numbers : ndarray of shape (n_present,)
+        The rows that have them.
+    X, y : ndarray of shape (n_present, ...)
+        The data there.
+
+    Raises
+    ------
+    ValueError
+        If the weights are no finite numbers of at least 0, one a row.
+    """
+    weights = check_sample_weight(sample_weight, len(X))
+    if weights is None or weights.all():
+        return weights, np.arange(len(X)), X, y
+    present = np.flatnonzero(weights)
+    return weights[present], present, X[present], y[present]
+
+
+def total_weight(X: Array, weights: Array | None) -> float:
+    """Return the sum of the weights; the number of rows if they have none."""
+    return float(len(X) if weights is None else weights.sum())
+
+
 def distinct_rows(X: Array) -> tuple[Indices, Indices, Indices]:
     """Find equal rows.
 
@@ -115,6 +156,20 @@ def distinct_rows(X: Array) -> tuple[Indices, Indices, Indices]:
     # NumPy numbers the groups by their values. Here they are numbered by their rows.
     order = np.argsort(first)
     return first[order], np.argsort(order)[group.reshape(-1)], counts[order]
+
+
+def count_distinct(X: Array) -> int:
+    """Count distinct rows, in less time than `distinct_rows` takes to find them."""
+    return len(np.unique(_keys(X)))
+
+
+def weights_at(points: Array, X: Array, weights: Array | None) -> Array:
+    """Return the summed weights of the rows that equal each point."""
+    rows = _rows_that_may_equal(points, X)
+    own = None if weights is None else weights[rows]
+    _, group, _ = distinct_rows(np.vstack([points, X[rows]]))
+    sums = np.bincount(group[len(points) :], own, minlength=group.max() + 1)
+    return sums[group[: len(points)]].astype(np.float64)
 
 
 def group_means(values: Array, group: Indices, weights: Array | None = None) -> Array:
@@ -147,9 +202,9 @@ class AveragedOutputs(NamedTuple):
     means : ndarray of shape (n_distinct, n_outputs)
         The mean outputs at each state.
     counts : ndarray of shape (n_distinct,)
-        The number of rows with that state.
+        The number of rows with that state, or the sum of their weights.
     scatter : ndarray of shape (n_outputs,)
-        The sum of the squared deviations of all rows from the means.
+        The weighted sum of the squared deviations of all rows from the means.
     """
 
     means: Array
@@ -160,10 +215,26 @@ class AveragedOutputs(NamedTuple):
         """Return the outputs at some of the states."""
         return type(self)(self.means[rows], self.counts[rows], self.scatter)
 
-    def joined(self, y: Array) -> Self:
-        """Return these outputs followed by those of further, distinct rows."""
-        counts = np.append(self.counts, np.ones(len(y)))
+    @classmethod
+    def of(cls, y: Array, weights: Array | None) -> Self:
+        """Return the outputs of rows that are all taken for distinct."""
+        counts = np.ones(len(y)) if weights is None else weights
+        return cls(y, counts, np.zeros(y.shape[1]))
+
+    def joined(self, y: Array, weights: Array | None) -> Self:
+        """Return these outputs followed by those of further rows."""
+        _, counts, _ = self.of(y, weights)
+        counts = np.append(self.counts, counts)
         return type(self)(np.vstack([self.means, y]), counts, self.scatter)
+
+    def merged(self, group: Indices) -> Self:
+        """Return the averages over groups of these outputs, if any two share one."""
+        if len(group) == group.max() + 1:
+            return self.take(np.argsort(group))
+        counts = np.bincount(group, self.counts).astype(np.float64)
+        means = group_means(self.means, group, self.counts)
+        scatter = self.scatter + self.counts @ (self.means - means[group]) ** 2
+        return type(self)(means, counts, scatter)
 
 
 def average_equal_rows(
@@ -199,10 +270,82 @@ def average_equal_rows(
         return first, values
     if exact:
         _check_equal_rows_agree(values.means, group, numbers)
-    counts = np.bincount(group, values.counts).astype(np.float64)
-    means = group_means(values.means, group, values.counts)
-    scatter = values.scatter + values.counts @ (values.means - means[group]) ** 2
-    return first, AveragedOutputs(means, counts, scatter)
+    return first, values.merged(group)
+
+
+def average_at(points: Array, X: Array, values: AveragedOutputs) -> AveragedOutputs:
+    """Average the outputs of the rows that equal each of some points.
+
+    Parameters
+    ----------
+    points : ndarray of shape (n_points, n_features)
+        The points; each is among the rows.
+    X : ndarray of shape (n_samples, n_features)
+        The states.
+    values : AveragedOutputs
+        The outputs of these rows, which may be averages themselves.
+
+    Returns
+    -------
+    averaged : AveragedOutputs
+        The outputs at the points.
+    """
+    rows = _rows_that_may_equal(points, X)
+    _, group, _ = distinct_rows(np.vstack([points, X[rows]]))
+    # The groups of the points have the first numbers.
+    own, group = group[: len(points)], group[len(points) :]
+    at_points = group <= own.max()
+    rows, group = rows[at_points], group[at_points]
+    return values.take(rows).merged(group).take(own)
+
+
+def average_at_distance_zero(
+    rows: Indices, distances: Array, values: AveragedOutputs
+) -> AveragedOutputs:
+    """Average the outputs of the rows at distance zero from each of some centres.
+
+    Parameters
+    ----------
+    rows : ndarray of shape (n_centers,)
+        One such row for each centre.
+    distances : ndarray of shape (n_samples, n_centers)
+        The distances of the rows to the centres.
+    values : AveragedOutputs
+        The outputs of the rows.
+
+    Returns
+    -------
+    averaged : AveragedOutputs
+        The outputs at the centres.
+    """
+    nearest = distances.argmin(axis=1)
+    at_center = np.flatnonzero(distances[np.arange(len(distances)), nearest] == 0)
+    # Equal centres share one of their numbers.
+    used, group = np.unique(nearest[at_center], return_inverse=True)
+    own = np.searchsorted(used, nearest[rows])
+    return values.take(at_center).merged(group).take(own)
+
+
+def _rows_that_may_equal(points: Array, X: Array) -> Indices:
+    """Return all rows that equal a point, and hardly any other."""
+    keys, wanted = _keys(X), np.sort(_keys(points))
+    place = np.minimum(np.searchsorted(wanted, keys), len(wanted) - 1)
+    return np.flatnonzero(wanted[place] == keys)
+
+
+def _keys(X: Array) -> Array:
+    """Return numbers that are equal for equal rows, and hardly for any others.
+
+    They are sums of the entries, weighted at random. Terms are added in the same order
+    for every row: a matrix product would not give equal rows equal sums.
+    """
+    factors = np.random.default_rng(0).uniform(1.0, 2.0, size=(X.shape[1],))
+    keys = np.zeros(len(X))
+    for start in range(0, len(X), KEY_ROWS):
+        rows = slice(start, start + KEY_ROWS)
+        for column, factor in enumerate(factors):
+            keys[rows] += factor * X[rows, column]
+    return keys
 
 
 def _check_equal_rows_agree(values: Array, group: Indices, numbers: Indices) -> None:

@@ -5,6 +5,7 @@ from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
+from sklearn.utils import check_array
 
 from ._typing import Array
 
@@ -62,6 +63,32 @@ def check_parameters(
         check_number(getattr(estimator, name), name)
     for name, values in choices.items():
         check_choice(getattr(estimator, name), name, values)
+
+
+def check_sample_weight(sample_weight: Any, n_rows: int) -> Array | None:
+    """Return weights as an array, or None; refuse any but one a row, of 0 or above."""
+    if sample_weight is None:
+        return None
+    weights: Array = check_array(
+        sample_weight,
+        dtype=np.float64,
+        ensure_2d=False,
+        allow_nd=True,
+        ensure_min_samples=0,
+        input_name="sample_weight",
+    )
+    if weights.shape != (n_rows,):
+        raise ValueError(
+            f"sample_weight has shape {weights.shape}, but X has {n_rows} rows; pass "
+            "one weight a row."
+        )
+    smallest, largest = weights.min(), weights.max()
+    if smallest < 0 or not 0 < largest <= MAX_MAGNITUDE:
+        raise ValueError(
+            f"sample_weight must hold numbers from 0 to {MAX_MAGNITUDE:g}, not only "
+            f"zeros, got values from {smallest:.3g} to {largest:.3g}."
+        )
+    return weights
 
 
 def check_columns(data: Any, name: str, other: Any, other_name: str) -> None:
