@@ -1038,6 +1038,7 @@ BAD = {
     "one a value": (np.ones((60, 2)), r"shape \(60, 2\)"),
     "a number": (2.0, r"shape \(\)"),
     "all zero": (np.zeros(60), "not only zeros"),
+    "masked": (np.ma.masked_greater(np.arange(60.0), 50), "9 masked values"),
     "too large": (np.full(60, 1e308), r"to 1e\+150"),
 }
 

@@ -69,6 +69,7 @@ def check_sample_weight(sample_weight: Any, n_rows: int) -> Array | None:
     """Return weights as an array, or None; refuse any but one a row, of 0 or above."""
     if sample_weight is None:
         return None
+    refuse_masked(sample_weight=sample_weight)
     weights: Array = check_array(
         sample_weight,
         dtype=np.float64,
