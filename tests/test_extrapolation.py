@@ -82,6 +82,17 @@ def test_one_far_state_among_many_is_found(n_rows, n_jobs):
     assert does_warn(model.predict, states)
 
 
+@pytest.mark.parametrize("n_centers", [127, 129, 2600])
+def test_any_number_of_centres_tells_far_states(n_centers):
+    """Some centres are asked first, in blocks that must fit their working memory."""
+    X = np.linspace(0, 1, n_centers)[:, np.newaxis]
+    model = KoopmanKernelRegressor(beta=0.1, centers=X, method="least_squares")
+    model.set_params(alpha=1e-3).fit(X, X[:, 0])
+    states = np.linspace(0, 1, 4000)[:, np.newaxis]
+    assert not does_warn(model.predict, states)
+    assert does_warn(model.predict, np.vstack([states, [[1.5]]]))
+
+
 def test_sparse_matrices_tell_far_states():
     """Products with a compact kernel are sparse, and know the rows without a centre."""
     X = np.linspace(0, 1, 2000)[:, np.newaxis]
@@ -117,6 +128,10 @@ def test_foreign_kernels_tell_far_states():
         alpha=1.0,
     ).fit(X, X[:, 0])
     assert not does_warn(linear.predict, 100 * X)
+    through_zero = KoopmanKernelRegressor(
+        DotProduct(0.0), method="least_squares", centers=X[[1, -1]], alpha=1.0
+    ).fit(X, X[:, 0])
+    assert not does_warn(through_zero.predict, X)  # k(0, 0) is 0
 
 
 def test_degrees_given_to_a_model_of_radians(walking):

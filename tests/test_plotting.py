@@ -990,6 +990,21 @@ def strides(walking):
     return pairs, model.fit(pairs.X, pairs.y, sample_index=pairs.sample_index)
 
 
+def test_a_forecast_does_not_run_into_the_next_trial():
+    """What followed in the frame was taken for the truth."""
+    wave = np.sin(0.1 * np.arange(100))[:, np.newaxis]
+    pairs = trajectory_pairs([pd.DataFrame(wave), pd.DataFrame(wave + 2)], lag=5)
+    model = KernelEDMD(alpha=1e-3, n_modes=0).fit(pairs.X, pairs.y)
+    show = ForecastDisplay.from_estimator
+    display = show(model, pairs.X, pairs.y, n_steps=10, start=45)
+    assert_array_equal(display.truth_.get_ydata(), wave[50:100:5, 0])
+    with pytest.raises(ValueError, match="row 95 is not a step after row 90"):
+        show(model, pairs.X, pairs.y, n_steps=10, start=90)
+    with pytest.raises(ValueError, match="row 95 is not a step after row 90"):
+        show(model, pairs.X, pairs.y)
+    show(model, pairs.X.loc[[1]], pairs.y.loc[[1]])
+
+
 @pytest.mark.parametrize("of", ["X", "y"])
 def test_lag_is_read_off_the_index(strides, of):
     """Without it, the fifth step stood at row 5 instead of 20, beside a wrong truth."""
@@ -1008,11 +1023,8 @@ def test_lag_is_read_off_the_index(strides, of):
     assert_array_equal(display.truth_.get_ydata(), pairs.y[:20:4, 0])
     assert_allclose(display.time, [0.04, 0.08, 0.12, 0.16, 0.2])
     assert np.abs(display.y_true - display.y_pred).max() < 10  # in mm
-    before = show(model, X, y, n_steps=5, lag=1)
-    assert np.abs(before.y_true - before.y_pred).max() > 150
-    assert_array_equal(show(model, X, y, start=7).time[:2], [4, 5])
-    # What is given wins.
-    assert_array_equal(show(model, X, y, lag=2, n_steps=2).time, [2, 4])
+    with pytest.raises(ValueError, match="row 1 is not a step after row 0"):
+        show(model, X, y, n_steps=5, lag=1)
 
 
 def test_lag_is_read_off_outputs_that_are_states(strides):

@@ -283,8 +283,9 @@ def product(
         fill, work = sections.tiles(X, exact=False), np.empty(TILE_ENTRIES)
         if tell_reached:
             correlate = _correlations(sections, X)
-            few = slice(0, sections.size, CENTERS_PER_PILOT)
-            height = max(TILE_ENTRIES * CENTERS_PER_PILOT // sections.size, 1)
+            step = CENTERS_PER_PILOT + sections.size // TILE_ENTRIES
+            few = slice(0, sections.size, step)
+            height = TILE_ENTRIES // _length(few)
             for rows in _slices(0, len(X) if len(X) > TILE_ROWS else 0, height):
                 tile = _filled(fill, rows, few, work)
                 reached[rows, 0] = correlate(tile, rows, few) >= MIN_CORRELATION
@@ -320,7 +321,10 @@ def _correlations(
         right = np.sqrt(sections.smooth_diagonal(sections.points))
 
     def correlate(tile: Array, rows: slice, columns: slice) -> Array:
-        return (np.abs(tile) / right[columns]).max(axis=1) / left[rows]
+        # A section of norm 0 has no correlation, and the value 0 is right there.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            correlation = np.abs(tile) / right[columns] / left[rows, np.newaxis]
+        return np.nan_to_num(correlation, nan=1.0).max(axis=1)
 
     return correlate
 
@@ -392,12 +396,14 @@ def _height(n_columns: int) -> int:
 
 
 def _filled(fill: Tiles, rows: slice, columns: slice, work: Array) -> Array:
-    n_rows, n_columns = (
-        len(range(s.start, s.stop, s.step or 1)) for s in (rows, columns)
-    )
+    n_rows, n_columns = _length(rows), _length(columns)
     tile = work[: n_rows * n_columns].reshape(n_rows, n_columns)
     fill(rows, columns, tile)
     return tile
+
+
+def _length(places: slice) -> int:
+    return len(range(places.start, places.stop, places.step or 1))
 
 
 def _slices(start: int, stop: int, size: int) -> Iterator[slice]:

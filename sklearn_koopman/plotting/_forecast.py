@@ -9,8 +9,9 @@ import numpy as np
 from sklearn.utils import check_consistent_length
 from sklearn.utils.validation import check_is_fitted
 
+from .._utils._frames import index_level
 from .._utils._pipeline import transformed, unwrap
-from .._utils._typing import Array
+from .._utils._typing import Array, Indices
 from .._utils._validation import (
     check_choice,
     check_flag,
@@ -264,8 +265,9 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
         ------
         ValueError
             If the estimator is not fitted, or cannot forecast or give the band; if a
-            parameter is outside its range, or there are too few rows; if `lag` is None
-            and nothing tells it.
+            parameter is outside its range, or there are too few rows; if the index
+            tells that they are not on one trajectory; if `lag` is None and nothing
+            tells it.
         """
         check_is_fitted(estimator)
         check_integer(start, "start", 0)
@@ -279,6 +281,7 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
             lag = rows_per_step(final, X, y)
         check_integer(lag, "lag", 1)
         refuse_masked(X=X)
+        index = index_level("sample_index", X, y)
         y = np.asanyarray(y)
         check_integer(1 if n_steps is None else n_steps, "n_steps", 1)
         needed = start + lag * ((n_steps or 1) - 1) + 1
@@ -287,6 +290,9 @@ class ForecastDisplay(Display):  # numpydoc ignore=PR02
                 f"start={start}, lag={lag} and n_steps={n_steps} need {needed} rows, "
                 f"got {len(y)}; lower start or n_steps, or give more rows."
             )
+        if index is not None:
+            shown = np.arange(start, len(y) if n_steps is None else needed, lag)
+            _check_steps(index, shown)
         states = transformed(scaler, X)
         taken = slice(start, None if n_steps is None else start + 1)
         states = states.iloc[taken] if hasattr(states, "iloc") else states[taken]
@@ -369,3 +375,15 @@ def _limit_view(ax: Any, truth: Array) -> None:
     low, high = max(low, truth.min() - size), min(high, truth.max() + size)
     margin = 0.05 * ((high - low) or size)
     ax.set_ylim(low - margin, high + margin + HEADROOM * (high - low))
+
+
+def _check_steps(index: Array, rows: Indices) -> None:
+    """Refuse rows of which one is not a step after the one before, by their index."""
+    ends = np.flatnonzero(np.diff(index[rows]) != 1)
+    if len(ends):
+        last, after = rows[ends[0]], rows[ends[0] + 1]
+        raise ValueError(
+            f"By its index, row {after} is not a step after row {last}: give lag as in "
+            "trajectory_pairs, a lower n_steps, or the rows of one trajectory, such as "
+            "X.loc[[0]]."
+        )
