@@ -255,7 +255,7 @@ class SeparatedCenterSelector(
         is_first = not hasattr(self, "n_samples_seen_")
         self._extend(X, vars(self))
         if is_first and self._spread is not None:
-            warn_without_spread(self, self._spread)
+            warn_without_spread(self, X)
         return self
 
     def _extend(self, given: Any, fitted: Mapping[str, Any]) -> Self:

@@ -408,6 +408,6 @@ def _is_hidden_from_user() -> bool:
         if frame is None:
             return False
         if frame.f_globals.get("__name__") == "sklearn.model_selection._validation":
-            return True
+            return frame.f_code.co_name == "_score"  # others do not take exceptions
         frame = frame.f_back
     return False

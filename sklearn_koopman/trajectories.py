@@ -122,8 +122,8 @@ of them, default=None
             Datetimes become seconds from the first.
         frame : ndarray of shape (n_pairs,)
             The number of that sample in its trajectory, or its label in an index of
-            whole numbers. After resampling the number of periods of the new rate from
-            the start of the trajectory, rounded.
+            whole numbers. After resampling, new samples are counted from the start of
+            the trajectory; the number of the first one of a piece is rounded.
         feature_names : list of str
             The names of the columns of `X`: those of the DataFrames, else "x0", "x1",
             ... for states and "y0", "y1", ... for outputs. A copy that is 5 samples

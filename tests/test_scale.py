@@ -534,3 +534,10 @@ def test_frames_and_arrays_give_the_same_bits(pendulum):
     of_array = clone(model).fit(X, y)
     assert of_frame.kernel_.beta == of_array.kernel_.beta
     assert_array_equal(of_frame.center_indices_, of_array.center_indices_)
+
+
+def test_a_first_batch_of_spread_one_is_no_batch_without_spread():
+    """The spread of equal rows counts as 1, but other rows have it, too."""
+    X = [[0.0], [2.0]]
+    assert SeparatedCenterSelector().partial_fit(X).separation_ == 0.1
+    assert KoopmanKernelRegressor().partial_fit(X, [1.0, 2.0]).kernel_.beta == 1.0

@@ -572,6 +572,11 @@ def test_other_callers_get_the_error_itself(pairs):
         permutation_importance(
             model, pairs.X, pairs.y, scoring=make_forecast_scorer(4), n_repeats=1
         )
+    # Other functions of that module of scikit-learn add scores up.
+    module = {"__name__": "sklearn.model_selection._validation"}
+    exec("def add(scorer, *data): return 0 + scorer(*data)", module)
+    with pytest.raises(ValueError, match=r"^It is not known which of the held-out"):
+        module["add"](make_forecast_scorer(4), model, pairs.X, pairs.y)
     # In a thread, nobody stands behind the call.
     with ThreadPoolExecutor(1) as pool:
         future = pool.submit(make_forecast_scorer(4), model, pairs.X, pairs.y)

@@ -180,7 +180,7 @@ def start_by_fit(model: Any, X: Any, y: Any, sample_weight: Any) -> Any:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "separation=.* leaves 1 centre")
         model.fit(X, y, sample_weight)
-    warn_without_spread(model, model._spread)
+    warn_without_spread(model, X)
     return model
 
 
@@ -212,7 +212,7 @@ def start_least_squares(
     weight = total_weight(X, weights)
     negligible = negligible_tolerance(weight, model.alpha)
     growth, fit = system.until_sound(start, negligible)
-    warn_without_spread(model, scale)
+    warn_without_spread(model, X)
     return growth, Estimate(system, fit, None, None, len(X), weight)
 
 

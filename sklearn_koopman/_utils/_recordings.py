@@ -435,7 +435,7 @@ def _resample(
     return Samples(
         interpolate(piece.states),
         interpolate(piece.outputs),
-        np.rint((time - first) * rate).astype(np.intp),
+        (np.rint((anchor - first) * rate) + numbers).astype(np.intp),
         time,
         np.rint((last - time) * rate).astype(np.intp),
     )

@@ -65,22 +65,23 @@ def spread(X: Array, sample_weight: Array | None = None) -> float:
     return unit * float(np.sqrt(squares / total))
 
 
-def warn_without_spread(estimator: Any, spread: float) -> None:
+def warn_without_spread(estimator: Any, X: Any) -> None:
     """Warn that the first of several batches had no spread, which later ones need.
 
     Parameters
     ----------
     estimator : estimator instance
         What learns from the batches.
-    spread : float
-        The spread of the first batch; 1 where there is none.
+    X : array-like of shape (n_samples, n_features)
+        The first batch.
 
     Warns
     -----
     UserWarning
-        If a parameter stands for the spread.
+        If all of its rows are equal, and a parameter stands for the spread.
     """
-    if spread != 1:
+    X = np.asarray(X, dtype=np.float64)
+    if (X[0] != X).any():
         return
     given = estimator.get_params()
     names = ["separation", "centers__separation"]
