@@ -93,7 +93,8 @@ class KernelEDMD(StoresCentersOnce, MultiOutputMixin, RegressorMixin, BaseEstima
         scale unless a number is given. For a name, "scale" means the spread of the
         states that have a successor: the square root of the sum of the variances of
         the columns of `X`. Forecasts of outputs are then the same in every unit of the
-        states. None means 1 for a name.
+        states. Wendland kernels, which are zero beyond `beta`, need some 10 times as
+        much. None means 1 for a name.
     centers : None, array-like of shape (n_centers, n_features) or estimator, \
 default=None
         Where the kernel sections are centred, among the rows that have a successor: at

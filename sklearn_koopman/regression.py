@@ -94,8 +94,9 @@ class KoopmanKernelRegressor(
         A kernel object keeps its own scale unless a number is given. For a name,
         "scale" means the spread of the states: the square root of the sum of the
         variances of the columns of `X`, which is their root mean square distance from
-        their mean. Predictions are then the same in every unit of the states. None
-        means 1 for a name. With ``centers="precomputed"`` a name needs a number.
+        their mean. Predictions are then the same in every unit of the states. Wendland
+        kernels, which are zero beyond `beta`, need some 10 times as much. None means 1
+        for a name. With ``centers="precomputed"`` a name needs a number.
     centers : None, array-like of shape (n_centers, n_features), estimator or \
 "precomputed", default=None
         Where the kernel sections are centred.
