@@ -415,7 +415,7 @@ def test_dataframes_that_lack_frames_are_refused():
         fill_gaps(trials, max_gap=2)
     names = pd.Index(list("abcdefghij"))
     assert_array_equal(fill_gaps(frame.set_index(names), max_gap=2)[1], [3, 4])
-    assert len(fill_gaps(frame[:1], max_gap=2)[1]) == 0
+    assert len(fill_gaps(frame.iloc[:1], max_gap=2)[1]) == 0
 
 
 @pytest.mark.parametrize(
