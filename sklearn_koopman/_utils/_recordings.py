@@ -285,17 +285,28 @@ def find_wraps(rows: Array, following: Array) -> dict[int, float]:
 def _wraps(values: Array, following: Array, turn: float) -> bool:
     """Tell whether one column holds angles that wrap at this turn."""
     size = np.abs(following - values)
+    around = np.abs(size - turn)  # the size of a wrap as a motion
     is_small = size <= 0.25 * turn
-    usual = size[is_small].max(initial=0.0)
-    is_wrap = np.abs(size - turn) <= min(2 * usual, 0.25 * turn)
+    if not is_small.any():
+        return False
+    usual = np.sort(size[is_small])
+    # The largest ones may be those into and out of a small glitch or two.
+    large = usual[-1 - min(len(usual) // 100, 4)]
+    is_wrap = around <= min(2 * large, 0.25 * turn)
     if not is_wrap.any():
         return False
-    center = np.median((values + following)[is_wrap]) / 2
-    # A wrap is centred within the size of its step. Rounded angles leave the turn.
-    reach = 0.505 * turn + usual
-    is_inside = np.maximum(np.abs(values - center), np.abs(following - center)) <= reach
-    n_strange = np.count_nonzero(~(is_inside & (is_small | is_wrap)))
-    return n_strange <= min(np.count_nonzero(is_wrap), MAX_STRANGE * len(size))
+    ordered = np.sort(np.concatenate([values, following]))
+    # Rounded angles may leave the turn a little.
+    n_inside = np.searchsorted(ordered, ordered + 1.01 * turn, side="right")
+    n_outside = len(ordered) - (n_inside - np.arange(len(ordered))).max()
+    n_strange = max(n_outside / 2, np.count_nonzero(~(is_small | is_wrap)))
+    if n_strange == 0:
+        return True
+    is_rare = n_strange <= min(np.count_nonzero(is_wrap), MAX_STRANGE * len(size))
+    # The jumps of a noisy switch differ from a turn by more than its noise, while an
+    # angle that swings is at most sqrt(2) times as fast as in the mean square.
+    is_usual = np.median(around[is_wrap]) <= 1.5 * np.sqrt(np.mean(usual**2))
+    return bool(is_rare and is_usual)
 
 
 def warn_of_wraps(subject: str, columns: list[str], turn: float) -> None:

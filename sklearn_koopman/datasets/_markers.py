@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
@@ -162,13 +163,10 @@ def load_markers(
         names = _select(markers, list(header.columns))
         rows = _rows(lines, header)
         frames = _frame_numbers(rows, header)
-        # A unit is told by the whole body, whichever markers are read.
-        measured = names if unit else list(header.columns)
-        body = _positions(rows, header, measured)
-        positions = {name: body[name] for name in names}
+        positions = _positions(rows, header, names)
         if gaps == "raise":
             _refuse_gaps(positions, [line for line, _ in rows])
-        units = unit or _unit_of_file(header.unit, body)
+        units = unit or _unit_of_file(header.unit, _body(rows, header, positions))
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
     return Bunch(
@@ -347,6 +345,15 @@ def _positions(rows: _Rows, header: _Header, names: list[str]) -> dict[str, Arra
     return positions
 
 
+def _body(rows: _Rows, header: _Header, positions: dict[str, Array]) -> list[Array]:
+    """Add the other markers of the file to those that are read."""
+    body = [*positions.values()]
+    for name in header.columns.keys() - positions.keys():
+        with suppress(ValueError):  # what is not read may be damaged
+            body += _positions(rows, header, [name]).values()
+    return body
+
+
 def _refuse_gaps(positions: dict[str, Array], lines: list[int]) -> None:
     """Refuse gaps, all of them at once; each frame is a line of the file."""
     gaps = []
@@ -363,7 +370,7 @@ def _refuse_gaps(positions: dict[str, Array], lines: list[int]) -> None:
         )
 
 
-def _unit_of_file(claimed: str, body: dict[str, Array]) -> str:
+def _unit_of_file(claimed: str, body: list[Array]) -> str:
     """Return the unit that a file claims; refuse it if the body has another size."""
     name = claimed.lower().replace("metre", "meter")
     unit = SPELLED_OUT.get(name, name)
@@ -372,7 +379,7 @@ def _unit_of_file(claimed: str, body: dict[str, Array]) -> str:
             f"the file gives {claimed!r} as its unit, not 'mm', 'cm' or 'm'; pass "
             "unit, which wins over the file."
         )
-    cloud = np.stack([*body.values()])
+    cloud = np.stack(body)
     # Unlike max and min, these ignore NaN.
     extents = np.fmax.reduce(cloud) - np.fmin.reduce(cloud)
     sizes = np.fmax.reduce(extents, axis=1)
