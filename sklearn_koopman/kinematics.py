@@ -124,7 +124,7 @@ def fill_gaps(recording: Any, *, max_gap: int) -> tuple[Any, Indices]:
     for column in np.flatnonzero(was_lost.any(axis=0)):
         _fill_column(columns[:, column], max_gap)
     is_filled = was_lost & ~np.isnan(columns)
-    _warn_of_wraps(recording, columns, was_lost, is_filled.any(axis=0))
+    _warn_of_wraps(recording, columns, was_lost, is_filled)
     return _like(recording, values), np.flatnonzero(is_filled.any(axis=1))
 
 
@@ -369,12 +369,12 @@ def _like(recording: Any, values: Array) -> Any:
 
 
 def _warn_of_wraps(
-    recording: Any, columns: Array, was_lost: Mask, was_filled: Mask
+    recording: Any, columns: Array, was_lost: Mask, is_filled: Mask
 ) -> None:
     """Warn of angles that wrap among the columns that have been filled."""
     names = list(getattr(recording, "columns", range(columns.shape[1])))
     shown: dict[float, list[str]] = {}
-    for number in np.flatnonzero(was_filled):
+    for number in np.flatnonzero(is_filled.any(axis=0)):
         is_link = ~(was_lost[1:, number] | was_lost[:-1, number])
         column = columns[:, [number]]
         for turn in find_wraps(column[:-1][is_link], column[1:][is_link]).values():

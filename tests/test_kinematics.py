@@ -596,6 +596,20 @@ def test_filling_angles_that_wrap_warns(turn, period):
         fill_gaps(frame["thigh"], max_gap=3)
 
 
+def test_a_wrap_that_was_filled_does_not_mute_the_others():
+    angle = 340.0 + 5.2 * np.arange(400)
+    wrapped = angle % 360
+    wrapped[212] = np.nan  # where it passes zero
+    with pytest.warns(UserWarning, match="unwrap_angles"):
+        filled, rows = fill_gaps(wrapped, max_gap=1)
+    assert_array_equal(rows, [212])
+    assert 90 < filled[212] < 270  # far from both ends of the circle
+    with pytest.warns(UserWarning, match=r"trajectories\[0\] jumps .*unwrap_angles"):
+        trajectory_pairs(filled[:, None])
+    filled, _ = fill_gaps(unwrap_angles(wrapped, period=360), max_gap=1)
+    assert_allclose(filled, angle, rtol=0, atol=1e-9)
+
+
 def test_each_column_is_warned_of_with_its_own_turn():
     angles = np.column_stack([rotation(360) % 360, rotation(2 * np.pi) % (2 * np.pi)])
     angles[30:32] = np.nan

@@ -15,7 +15,7 @@ from ._validation import check_choice, check_columns, check_number
 from ._warnings import warn
 
 TURNS = (360.0, 2 * np.pi)
-# Angles that wrap step smoothly but for this part of their steps, around glitches.
+# Angles that wrap have glitches in no more than this part of their steps.
 MAX_STRANGE = 0.1
 
 
