@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from ._utils._typing import Array, Indices
-from ._utils._validation import check_integer
+from ._utils._recordings import find_wraps, warn_of_wraps
+from ._utils._typing import Array, Indices, Mask
+from ._utils._validation import check_integer, check_number
 from ._utils._warnings import warn
 
-__all__ = ["fill_gaps", "leg_angles"]
+__all__ = ["fill_gaps", "leg_angles", "unwrap_angles"]
 
 # No knee bends farther for long; with two markers swapped, a leg that is bent by less
 # than a right angle seems to.
@@ -58,9 +59,17 @@ def fill_gaps(recording: Any, *, max_gap: int) -> tuple[Any, Indices]:
         DataFrame jumps; if the markers of a dict differ in their number of frames; if
         `max_gap` is no positive integer.
 
+    Warns
+    -----
+    UserWarning
+        If a column that is filled holds angles that wrap at 360 degrees or 2 pi, since
+        a spline across a wrap passes through all angles in between: unwrap them first,
+        by :func:`unwrap_angles`.
+
     See Also
     --------
     leg_angles : Joint angles from markers without gaps.
+    unwrap_angles : Angles without jumps, also across gaps.
     sklearn_koopman.datasets.load_markers : Reads markers, with ``gaps="nan"`` those
         that have gaps.
 
@@ -114,12 +123,9 @@ def fill_gaps(recording: Any, *, max_gap: int) -> tuple[Any, Indices]:
     was_lost = np.isnan(columns)
     for column in np.flatnonzero(was_lost.any(axis=0)):
         _fill_column(columns[:, column], max_gap)
-    frames = np.flatnonzero((was_lost & ~np.isnan(columns)).any(axis=1))
-    if not hasattr(recording, "iloc"):
-        return values, frames
-    filled = recording.astype(np.float64)
-    filled[:] = values
-    return filled, frames
+    is_filled = was_lost & ~np.isnan(columns)
+    _warn_of_wraps(recording, columns, was_lost, is_filled)
+    return _like(recording, values), np.flatnonzero(is_filled.any(axis=1))
 
 
 def leg_angles(
@@ -259,20 +265,84 @@ def leg_angles(
     return angles, reach / lengths.sum() if normalize else reach
 
 
-def _check_recording(recording: Any, values: Array) -> None:
+def unwrap_angles(angles: Any, *, period: float) -> Any:
+    """Remove the jumps of angles that wrap, also across gaps.
+
+    An angle that passes the end of the circle jumps by a full turn, which is no motion.
+    From each jump on, this adds the turns that undo it.
+
+    Parameters
+    ----------
+    angles : array-like, DataFrame or Series
+        One recording, of shape (n_frames,), (n_frames, n_columns) or (n_frames,
+        n_joints, 2 or 3). It is not changed.
+    period : float
+        The full turn in the unit of the angles: 360 for degrees, ``2 * np.pi`` for
+        radians.
+
+    Returns
+    -------
+    unwrapped : ndarray, DataFrame or Series
+        The angles as floats, in their shape and unit; NaN where they are NaN or masked.
+        A DataFrame keeps its index and columns, a masked array becomes a plain one.
+
+    Raises
+    ------
+    ValueError
+        If `angles` is empty or has another shape, as a list of several recordings has;
+        if it holds infinity or what is no number; if the index of a DataFrame jumps; if
+        `period` is no positive number.
+
+    See Also
+    --------
+    fill_gaps : Fills gaps; angles that wrap have to be unwrapped before.
+    numpy.unwrap : The same without gaps; it loses all that follows a NaN.
+
+    Notes
+    -----
+    Each valid frame comes to lie within half a turn of the last valid one before it. So
+    during a gap, as from frame to frame, an angle must not move by more than half a
+    turn: else it is off by full turns from there on. So is what follows a glitch; set
+    glitches to NaN before.
+
+    Columns that do not wrap are returned exactly. The cost is linear in the number of
+    values.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_koopman.kinematics import fill_gaps, unwrap_angles
+    >>> heading = [340.0, 350.0, np.nan, 10.0, 20.0]
+    >>> unwrapped = unwrap_angles(heading, period=360)
+    >>> unwrapped
+    array([340., 350.,  nan, 370., 380.])
+    >>> fill_gaps(unwrapped, max_gap=1)[0]
+    array([340., 350., 360., 370., 380.])
+    """
+    check_number(period, "period", positive=True)
+    values = np.array(_as_floats(angles, "angles"), order="C")
+    _check_recording(angles, values, "angles")
+    columns = values.reshape(len(values), -1)  # a view
+    for column in columns.T:
+        is_valid = ~np.isnan(column)
+        column[is_valid] = np.unwrap(column[is_valid], period=period)
+    return _like(angles, values)
+
+
+def _check_recording(recording: Any, values: Array, name: str = "recording") -> None:
     """Refuse infinity, and data whose rows are not the frames of one recording."""
     is_list = isinstance(recording, list | tuple)
     is_cloud = values.ndim == 3 and values.shape[2] in (2, 3) and not is_list
     if not values.size or not (values.ndim in (1, 2) or is_cloud):
         raise ValueError(
-            f"recording is a {type(recording).__name__} of shape {values.shape}; pass "
+            f"{name} is a {type(recording).__name__} of shape {values.shape}; pass "
             "one recording, an array of shape (n_frames, n_columns) or (n_frames, "
-            "n_markers, 3), and fill several one by one."
+            "n_markers, 3), and several one by one."
         )
     lost = np.flatnonzero(np.isinf(values).reshape(len(values), -1).any(axis=1))
     if len(lost):
         raise ValueError(
-            f"recording holds infinity in {len(lost)} of {len(values)} frames, first "
+            f"{name} holds infinity in {len(lost)} of {len(values)} frames, first "
             f"in frame {lost[0]}; replace it by NaN if it marks a gap."
         )
     if not hasattr(recording, "iloc"):
@@ -287,6 +357,30 @@ def _check_recording(recording: Any, values: Array) -> None:
                 "which is not the step of most rows; pass one recording, with a row of "
                 "NaN for each missing frame, for instance by recording.reindex."
             )
+
+
+def _like(recording: Any, values: Array) -> Any:
+    """Return values with the index and the columns of a recording that has them."""
+    if not hasattr(recording, "iloc"):
+        return values
+    frame = recording.astype(np.float64)
+    frame[:] = values
+    return frame
+
+
+def _warn_of_wraps(
+    recording: Any, columns: Array, was_lost: Mask, is_filled: Mask
+) -> None:
+    """Warn of angles that wrap among the columns that have been filled."""
+    names = list(getattr(recording, "columns", range(columns.shape[1])))
+    shown: dict[float, list[str]] = {}
+    for number in np.flatnonzero(is_filled.any(axis=0)):
+        is_link = ~(was_lost[1:, number] | was_lost[:-1, number])
+        column = columns[:, [number]]
+        for turn in find_wraps(column[:-1][is_link], column[1:][is_link]).values():
+            shown.setdefault(turn, []).append(str(names[number]))
+    for turn, wrapping in shown.items():
+        warn_of_wraps("recording", wrapping, turn)
 
 
 def _fill_column(column: Array, max_gap: int) -> None:
@@ -368,10 +462,12 @@ def _warn_of_headstand(angles: Array, reach: Array, up: Any) -> None:
     """Warn if most frames show a leg that is upside down, or folded."""
     n_inverted = np.count_nonzero(reach[:, 1] > MIN_HEADSTAND)
     if 2 * n_inverted > len(reach):
+        given = np.eye(3)[up] if np.ndim(up) == 0 else _as_floats(up, "up")
+        opposite = ", ".join(f"{component:.15g}" for component in 0.0 - given)
         warn(
             f"the leg stands on its head in {n_inverted} of {len(reach)} frames: its "
-            f"ankle is high above its hip. Let up={up!r} point up, for instance as "
-            "[0, -1, 0] in place of 1, or pass hip, knee and ankle in their order."
+            f"ankle is high above its hip. If up={up!r} points down, pass "
+            f"up=[{opposite}]; else pass hip, knee and ankle in their order."
         )
     n_folded = np.count_nonzero(np.abs(angles[:, 1]) > np.radians(MAX_KNEE_FLEXION))
     if 2 * n_folded > len(angles):

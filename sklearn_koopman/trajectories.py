@@ -143,7 +143,8 @@ of them, default=None
     -----
     UserWarning
         If columns hold angles that wrap at 360 degrees or 2 pi: unwrap them by
-        :func:`numpy.unwrap`, since the jumps are no motion.
+        :func:`~sklearn_koopman.kinematics.unwrap_angles`, since the jumps are no
+        motion.
 
     See Also
     --------

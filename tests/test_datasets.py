@@ -495,17 +495,61 @@ def test_unit_of_another_size_is_told_in_every_format(write, header, true):
         assert f"coordinates in {unit}," in data.DESCR
 
 
-def test_size_is_that_of_most_frames_and_of_the_markers_that_are_read(write):
+def test_size_is_that_of_most_frames_and_of_the_whole_file(write):
     # One frame of three in metres, another marker's frame lost.
     text = TSV.replace(
         "10\t901.5\t80.5\t160\t481\t82", "0.01\t0.9\t0.08\t0.16\t0.48\t0.08"
     )
     assert load_markers(write(text)).unit == "mm"
-    # One marker tells nothing of the size of a body, even where another one is lost.
-    path = write(scaled(TSV, 0.001))
-    assert load_markers(path, markers=["R.Hip"]).unit == "mm"
-    with pytest.raises(ValueError, match=r"0.42[0-9]* apart, like m instead of mm"):
+    message = r"0.42[0-9]* apart, like m instead of mm"
+    with pytest.raises(ValueError, match=message):
         load_markers(write(scaled(TSV, 0.001).replace("0.482", "nan")), gaps="nan")
+    # It is the body that tells, whichever of its markers are read.
+    with pytest.raises(ValueError, match=message):
+        load_markers(write(scaled(TSV, 0.001)), markers=["R.Hip"])
+
+
+def test_one_marker_has_no_size(write):
+    assert load_markers(write(seconds(["1", "2", "3"]))).unit == "mm"
+
+
+FOOT = {"ankle": (0, 100, 0), "heel": (-60, 30, 0), "toe": (100, 20, 0)}
+BODY = FOOT | {"head": (10, 1700, 0), "hip": (20, 900, 0)}
+
+
+def trc(points, unit="mm"):
+    """A TRC file of three frames in which these points move along X."""
+    names = "\t\t\t".join(points)
+    axes = "\t".join(f"{a}{i}" for i in range(1, len(points) + 1) for a in "XYZ")
+    rows = "".join(
+        f"{n}\t{(n - 1) / 100}\t"
+        + "\t".join(f"{x + n}\t{y}\t{z}" for x, y, z in points.values())
+        + "\n"
+        for n in (1, 2, 3)
+    )
+    return (
+        "PathFileType\t4\t(X/Y/Z)\tbody.trc\nDataRate\tNumFrames\tNumMarkers\tUnits\n"
+        f"100\t3\t{len(points)}\t{unit}\nFrame#\tTime\t{names}\n\t\t{axes}\n\n{rows}"
+    )
+
+
+def test_a_foot_of_a_whole_body_is_read(write):
+    path = write(trc(BODY))
+    data = load_markers(path, markers=["ankle", "heel", "toe"])
+    assert data.unit == "mm"
+    assert data.names == list(data.markers) == ["ankle", "heel", "toe"]
+    assert_array_equal(data.markers["toe"], [[101, 20, 0], [102, 20, 0], [103, 20, 0]])
+    # What is not read may have gaps, or be damaged.
+    damaged = trc(BODY).replace("\t900\t", "\t\t", 1).replace("\t900\t", "\tlost\t", 1)
+    assert load_markers(write(damaged), markers=[*FOOT]).unit == "mm"
+    # The size of the body tells on a foot, whose own size would pass.
+    with pytest.raises(ValueError, match=r"1.68e\+03 apart, like mm instead of cm"):
+        load_markers(write(trc(BODY, "cm")), markers=[*FOOT])
+    # A file of a foot holds no body.
+    path = write(trc(FOOT))
+    with pytest.raises(ValueError, match=r"160 apart, like cm .* or unit='mm' if"):
+        load_markers(path, markers=[*FOOT])
+    assert load_markers(path, unit="mm").unit == "mm"
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_koopman.datasets import make_walking
-from sklearn_koopman.kinematics import fill_gaps, leg_angles
+from sklearn_koopman.kinematics import fill_gaps, leg_angles, unwrap_angles
+from sklearn_koopman.trajectories import trajectory_pairs
 
 
 def pose(hip_degrees, knee_degrees, thigh=400.0, shank=380.0):
@@ -227,6 +228,25 @@ def test_swapped_markers_warn(name, order):
         leg_angles(*swapped, forward=0, up=1)
 
 
+@pytest.mark.parametrize(
+    ("up", "opposite"),
+    [
+        ([0, -1, 0], "[0, 1, 0]"),
+        ((0, -2.5, 0), "[0, 2.5, 0]"),
+        (np.array([0, -1, 0]), "[0, 1, 0]"),
+        (1, "[0, -1, 0]"),
+        ([0, 0.1, 0], "[0, -0.1, 0]"),
+    ],
+)
+def test_remedy_is_the_opposite_of_what_was_given(up, opposite):
+    sign = 1 if np.ndim(up) == 0 else np.sign(up[1])
+    markers = [marker * [1, -sign, 1] for marker in WALK]
+    with pytest.warns(UserWarning, match="on its head") as record:
+        leg_angles(*markers, forward=0, up=up)
+    assert f"If up={up!r} points down, pass up={opposite};" in str(record[0].message)
+    leg_angles(*markers, forward=0, up=eval(opposite))
+
+
 def test_half_of_the_frames_may_be_upside_down():
     markers = [np.vstack([m, m * [1, -1, 1]]) for m in turn(np.zeros(9), 0)]
     leg_angles(*markers, forward=0, up=1)
@@ -415,7 +435,7 @@ def test_dataframes_that_lack_frames_are_refused():
         fill_gaps(trials, max_gap=2)
     names = pd.Index(list("abcdefghij"))
     assert_array_equal(fill_gaps(frame.set_index(names), max_gap=2)[1], [3, 4])
-    assert len(fill_gaps(frame[:1], max_gap=2)[1]) == 0
+    assert len(fill_gaps(frame.iloc[:1], max_gap=2)[1]) == 0
 
 
 @pytest.mark.parametrize(
@@ -439,6 +459,168 @@ def test_dataframes_that_lack_frames_are_refused():
 def test_bad_recordings(recording, options, message):
     with pytest.raises(ValueError, match=message):
         fill_gaps(recording, **({"max_gap": 1} | options))
+
+
+# --- angles that wrap ---------------------------------------------------------------
+
+
+def rotation(turn, n_frames=200):
+    """An angle in two columns that rotates four times with uneven speed, and back."""
+    phase = np.arange(n_frames) * 0.14
+    angle = phase + 0.5 * np.sin(phase)
+    return np.column_stack([angle, 6.0 - angle]) * turn / (2 * np.pi)
+
+
+@pytest.mark.parametrize("period", [360, 360.0, 2 * np.pi, 1])
+def test_unwrapping_is_that_of_numpy_without_gaps(period):
+    angle = rotation(period)
+    wrapped = angle % period
+    found = unwrap_angles(wrapped, period=period)
+    assert_array_equal(found, np.unwrap(wrapped, axis=0, period=period))
+    assert_allclose(found - found[0], angle - angle[0], rtol=0, atol=1e-12 * period)
+    assert_array_equal(unwrap_angles(wrapped[:, 0], period=period), found[:, 0])
+    assert_array_equal(unwrap_angles(wrapped.tolist(), period=period), found)
+    joints = np.stack([wrapped, wrapped], axis=1)
+    assert_array_equal(unwrap_angles(joints, period=period)[:, 1], found)
+
+
+@pytest.mark.parametrize("period", [360, 2 * np.pi])
+def test_unwrapping_goes_on_across_gaps(period):
+    angle = rotation(period)
+    wrapped = angle % period
+    # One gap over a wrap, one elsewhere, one column, both ends.
+    wraps = np.flatnonzero(np.abs(np.diff(wrapped[:, 0])) > period / 2)
+    assert len(wraps) == 4
+    for rows in (slice(wraps[1], wraps[1] + 3), slice(50, 53), 0, [198, 199]):
+        wrapped[rows] = np.nan
+    wrapped[70:75, 1] = np.nan
+    before = wrapped.copy()
+    found = unwrap_angles(wrapped, period=period)
+    assert_array_equal(wrapped, before)
+    assert_array_equal(np.isnan(found), np.isnan(wrapped))
+    shift = found - angle
+    assert_allclose(shift, np.ones((200, 1)) * shift[1] + 0 * shift, atol=1e-9)
+    # The frames to come are those of the angle that never wrapped.
+    whole = np.where(np.isnan(wrapped), np.nan, angle)
+    pairs, expected = (trajectory_pairs(x, gaps="split") for x in (found, whole))
+    assert len(pairs.X) == len(expected.X) > 180
+    assert_allclose(pairs.X - shift[1], expected.X, rtol=0, atol=1e-9)
+    # And gaps are filled as if the angle had never wrapped.
+    filled, rows = fill_gaps(found, max_gap=5)
+    same, same_rows = fill_gaps(whole, max_gap=5)
+    assert_array_equal(rows, same_rows)
+    assert_allclose(filled - shift[1], same, rtol=0, atol=1e-9)
+
+
+def test_the_last_valid_frame_tells_the_turn():
+    # Half a turn lies between 348 and 350.
+    for first, turns in ((348.0, 0), (350.0, 360)):
+        angles = np.array([first, np.nan, np.nan, 169, np.nan, 190, np.nan])
+        expected = angles + turns * (np.arange(7) > 0)
+        assert_array_equal(unwrap_angles(angles, period=360), expected)
+    assert_array_equal(unwrap_angles([np.nan, np.nan], period=360), [np.nan] * 2)
+
+
+def test_columns_that_do_not_wrap_keep_their_bits():
+    rng = np.random.default_rng(0)
+    table = rng.uniform(-0.49, 0.49, (500, 3)) * 2 * np.pi / 3
+    table[:, 2] = rotation(2 * np.pi, 500)[:, 0] % (2 * np.pi)
+    table[7:9] = np.nan
+    found = unwrap_angles(table, period=2 * np.pi)
+    assert_array_equal(found[:, :2], table[:, :2])
+    assert np.nanmax(found[:, 2]) > 60
+
+
+def test_unwrapping_keeps_the_form():
+    pd = pytest.importorskip("pandas")
+    values = [340.0, 350, np.nan, 10, 20]
+    expected = [340.0, 350, np.nan, 370, 380]
+    masked = np.ma.masked_invalid(values)
+    masked.data[2] = 9000.0
+    found = unwrap_angles(masked, period=360)
+    assert type(found) is np.ndarray
+    assert_array_equal(found, expected)
+    index = pd.Index(np.arange(5) / 100, name="time")
+    counts = pd.array([1, 2, None, 4, 5], dtype="Int64")
+    frame = pd.DataFrame({"thigh": values, "n": counts}, index=index)
+    before = frame.copy()
+    found = unwrap_angles(frame, period=360)
+    pd.testing.assert_frame_equal(frame, before)
+    pd.testing.assert_frame_equal(
+        found,
+        pd.DataFrame({"thigh": expected, "n": [1, 2, np.nan, 4, 5.0]}, index=index),
+    )
+    series = unwrap_angles(frame["thigh"], period=360)
+    pd.testing.assert_series_equal(series, found["thigh"])
+    trials = pd.concat([frame, frame], keys=[1, 2])
+    with pytest.raises(ValueError, match=r"goes from 0\.04 to 0\.0, .* one recording"):
+        unwrap_angles(trials, period=360)
+
+
+@pytest.mark.parametrize(
+    ("angles", "period", "message"),
+    [
+        ([1.0], 0, "period must be .* got 0"),
+        ([1.0], -360, "period must be .* got -360"),
+        ([1.0], np.inf, "period must be .* got inf"),
+        ([1.0], "360", "period must be .* got '360'"),
+        ([], 360, r"angles is a list of shape \(0,\)"),
+        ([np.zeros((9, 3))] * 2, 360, r"angles is a list of shape .*one by one"),
+        (["a"], 360, "angles must be an array of numbers"),
+        ([1, np.inf], 360, "angles holds infinity in 1 of 2 frames, first in frame 1"),
+    ],
+)
+def test_bad_angles(angles, period, message):
+    with pytest.raises(ValueError, match=message):
+        unwrap_angles(angles, period=period)
+
+
+@pytest.mark.parametrize(
+    ("turn", "period"), [(360, "period=360"), (2 * np.pi, r"period=2 \* np.pi")]
+)
+def test_filling_angles_that_wrap_warns(turn, period):
+    pd = pytest.importorskip("pandas")
+    wrapped = rotation(turn) % turn
+    frame = pd.DataFrame(wrapped, columns=["thigh", "shank"])
+    frame["smooth"] = np.sin(np.arange(200) * 0.1)
+    frame.loc[50:52, ["thigh", "smooth"]] = np.nan
+    message = rf"^recording jumps .* column thigh: .*unwrap_angles\(\.\.\., {period}\)"
+    with pytest.warns(UserWarning, match=message) as record:
+        fill_gaps(frame, max_gap=3)
+    assert len(record) == 1
+    assert record[0].filename == __file__
+    fill_gaps(frame, max_gap=2)  # which fills nothing
+    fill_gaps(frame[["shank", "smooth"]], max_gap=3)
+    fill_gaps(unwrap_angles(frame, period=turn), max_gap=3)
+    with pytest.warns(UserWarning, match=r"^recording jumps .* column 0:"):
+        fill_gaps(frame["thigh"], max_gap=3)
+
+
+def test_a_wrap_that_was_filled_does_not_mute_the_others():
+    angle = 340.0 + 5.2 * np.arange(400)
+    wrapped = angle % 360
+    wrapped[212] = np.nan  # where it passes zero
+    with pytest.warns(UserWarning, match="unwrap_angles"):
+        filled, rows = fill_gaps(wrapped, max_gap=1)
+    assert_array_equal(rows, [212])
+    assert 90 < filled[212] < 270  # far from both ends of the circle
+    with pytest.warns(UserWarning, match=r"trajectories\[0\] jumps .*unwrap_angles"):
+        trajectory_pairs(filled[:, None])
+    filled, _ = fill_gaps(unwrap_angles(wrapped, period=360), max_gap=1)
+    assert_allclose(filled, angle, rtol=0, atol=1e-9)
+
+
+def test_each_column_is_warned_of_with_its_own_turn():
+    angles = np.column_stack([rotation(360) % 360, rotation(2 * np.pi) % (2 * np.pi)])
+    angles[30:32] = np.nan
+    with pytest.warns(UserWarning, match="wrap") as record:
+        fill_gaps(angles, max_gap=2)
+    texts = [str(warning.message) for warning in record]
+    assert len(texts) == 2
+    assert "column 0, 1: " in texts[0]
+    assert "period=360)" in texts[0]
+    assert "column 2, 3: " in texts[1]
+    assert "period=2 * np.pi)" in texts[1]
 
 
 def test_masked_markers_are_refused_then_filled(walk):

@@ -26,6 +26,7 @@ from sklearn_koopman._utils._recordings import find_wraps
 from sklearn_koopman._utils._validation import refuse_masked
 from sklearn_koopman.datasets import make_pendulum, make_walking
 from sklearn_koopman.diagnostics import calibration_study
+from sklearn_koopman.kinematics import unwrap_angles
 
 NAMES = ["X", "y", "X_next", "groups", "sample_index", "time", "frame"]
 
@@ -599,8 +600,48 @@ def test_angles_that_wrap_warn_once(turn, period, centred, speed):
     with pytest.warns(UserWarning, match=r"^trajectories\[0\] \(and 1 more"):
         trajectory_pairs(np.column_stack([angle, other]))
     # The remedy, for states and outputs.
-    unwrapped = np.unwrap(angle, axis=0, period=turn)
+    unwrapped = unwrap_angles(angle, period=turn)
     trajectory_pairs(np.column_stack([smooth, unwrapped]), unwrapped)
+
+
+@pytest.mark.parametrize(
+    "glitch",
+    [
+        {150: 0.0},
+        {150: 1e4},
+        {150: 720.0, 300: 200.0},
+        dict.fromkeys(range(200, 205), 10000.0),
+        dict.fromkeys((30, 110, 190, 270), 100.0),
+    ],
+)
+@pytest.mark.parametrize("turn", [360.0, 2 * np.pi])
+def test_glitches_do_not_mute_wraps(glitch, turn):
+    angle = wrapped(turn, 0.0)
+    for row, value in glitch.items():
+        angle[row] = value * turn / 360
+    assert np.sum(np.diff(wrapped(turn, 0.0)) < -turn / 2) == 9
+    assert find_wraps(angle[:-1, None], angle[1:, None]) == {0: turn}
+    # Without the wraps they do not warn.
+    angle = 0.4 * turn * np.sin(np.arange(400) * 0.1)
+    for row, value in glitch.items():
+        angle[row] = value * turn / 360
+    assert find_wraps(angle[:-1, None], angle[1:, None]) == {}
+
+
+def test_a_short_turn_in_a_long_recording_wraps():
+    heading = np.full(2000, 345.0)
+    heading[1000:1010] += np.arange(0, 40, 4)
+    heading[1010:] = 385.0
+    assert find_wraps(heading[:-1, None] % 360, heading[1:, None] % 360) == {0: 360.0}
+
+
+def test_wraps_must_outnumber_glitches():
+    angle = wrapped(360.0, 0.0, 0.05)
+    assert np.sum(np.diff(angle) < -180) == 3
+    angle[100] = angle[100] + 180  # two steps
+    assert find_wraps(angle[:-1, None], angle[1:, None]) == {0: 360.0}
+    angle[110] = angle[110] + 180
+    assert find_wraps(angle[:-1, None], angle[1:, None]) == {}
 
 
 def test_a_wrap_across_a_gap_is_no_step():
@@ -617,6 +658,13 @@ def test_a_wrap_across_a_gap_is_no_step():
         np.repeat([0.0, 5.0, 0.0, 5.0], 20),  # contact
         np.tile(np.arange(0.0, 6.0, 0.1), 5),  # a sawtooth
         np.tile(np.arange(0.0, 301.0, 5.0), 5),
+        # A switch and a sawtooth with noise, and with a glitch.
+        np.tile([0.0, 350.0], 10).repeat(15)
+        + np.random.default_rng(0).normal(0, 3.5, 300),
+        np.tile([0.0, 300.0], 10).repeat(15) + 40.0 * (np.arange(300) == 100),
+        np.tile(np.arange(0.0, 301.0, 5.0), 5) + 40.0 * (np.arange(305) == 100),
+        180 * np.sin(np.arange(300) * 3.1),
+        np.random.default_rng(2).beta(0.3, 0.3, 300) * 360,
         np.arange(1000.0),
         np.concatenate([np.arange(0.0, 500, 10), np.arange(850.0, 1300, 10)]),
         np.cumsum(np.full(50, 300.0)),

@@ -17,6 +17,7 @@ from sklearn_koopman import (
     trajectory_pairs,
 )
 from sklearn_koopman.datasets import make_pendulum
+from sklearn_koopman.kinematics import unwrap_angles
 
 FREQUENCY = 0.1198  # in Hz, of the pendulum that swings by 2.24 rad
 
@@ -290,7 +291,7 @@ def test_angles_of_a_recording_that_wrap_warn(turn, frame):
         KernelEDMD(n_modes=0, alpha=1e-3).fit(X)
     # With a clock, as of trajectory_pairs, the angles have been looked at before.
     KernelEDMD(n_modes=0, alpha=1e-3).fit(X, sample_index=range(120))
-    KernelEDMD(n_modes=0, alpha=1e-3).fit(np.unwrap(x, axis=0, period=turn))
+    KernelEDMD(n_modes=0, alpha=1e-3).fit(unwrap_angles(x, period=turn))
 
 
 # Pipelines and cross-validation, without metadata routing

@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.utils import check_array
 
 from .._utils._labels import REMEDY, order_of_labels
-from .._utils._recordings import find_wraps
+from .._utils._recordings import find_wraps, warn_of_wraps
 from .._utils._typing import Array, Indices, Mask
 from .._utils._validation import check_columns, check_magnitude
 from .._utils._warnings import warn
@@ -181,15 +181,10 @@ def _check_delays(X: Array) -> None:
 def _warn_of_wraps(X: Array, given: Any, links: tuple[Indices, Indices]) -> None:
     """Warn of angles that wrap, as trajectory_pairs does, which has not seen these."""
     turns = find_wraps(X[links[0]], X[links[1]])
-    if turns:
-        names = list(getattr(given, "columns", range(X.shape[1])))
-        period = "360" if min(turns.values()) == 360 else "2 * np.pi"
-        warn(
-            "X jumps by almost a full turn in column "
-            f"{', '.join(str(names[column]) for column in turns)}: these angles wrap, "
-            "and the jumps are no motion. Unwrap them by np.unwrap(..., axis=0, "
-            f"period={period})."
-        )
+    names = list(getattr(given, "columns", range(X.shape[1])))
+    for turn in {*turns.values()}:
+        shown = [str(names[column]) for column in turns if turns[column] == turn]
+        warn_of_wraps("X", shown, turn)
 
 
 def _agree(

@@ -15,6 +15,8 @@ from ._validation import check_choice, check_columns, check_number
 from ._warnings import warn
 
 TURNS = (360.0, 2 * np.pi)
+# Angles that wrap have glitches in no more than this part of their steps.
+MAX_STRANGE = 0.1
 
 
 class Samples(NamedTuple):
@@ -197,7 +199,9 @@ def read_recordings(
         samples = _samples(x, y, clocks[number], known[number])
         recordings.append(Recording(samples, _pieces(is_there, is_link)))
     if wraps:
-        _warn_of_wraps(*wraps[0], len(wraps) - 1)
+        subject, shown, turn = wraps[0]
+        others = f" (and {len(wraps) - 1} more arrays)" if len(wraps) > 1 else ""
+        warn_of_wraps(f"{subject}{others}", shown, turn)
     is_pandas = any(hasattr(item, "iloc") for item in items)
     return Recordings(recordings, names, output_names, is_pandas)
 
@@ -252,9 +256,10 @@ def _column_names(items: list[Any], first: Array, prefix: str) -> list[str]:
 def find_wraps(rows: Array, following: Array) -> dict[int, float]:
     """Find the columns that hold angles which wrap.
 
-    Such a column lies within one turn and steps now and then by nearly a turn, never by
-    about half of one. Counted around the circle, these steps are about as small as the
-    others, which distinguishes them from the jumps of a switch or of a sawtooth.
+    Such a column lies within one turn and steps now and then by nearly a turn. Counted
+    around the circle, these steps are about as small as the others, which distinguishes
+    them from the jumps of a switch or of a sawtooth. A few steps may be neither, as
+    those into and out of a glitch; noise has many of them.
 
     Parameters
     ----------
@@ -269,30 +274,48 @@ def find_wraps(rows: Array, following: Array) -> dict[int, float]:
         The full turn, 360 or 2 pi, of each column that wraps.
     """
     turns: dict[int, float] = {}
-    size = np.abs(following - rows)
-    if size.max(initial=0.0) < 0.75 * min(TURNS):
-        return turns
-    high = np.maximum(rows.max(axis=0), following.max(axis=0))
-    extent = high - np.minimum(rows.min(axis=0), following.min(axis=0))
-    for turn in TURNS:
-        is_wrap, is_small = size >= 0.75 * turn, size <= 0.25 * turn
-        usual = np.where(is_small, size, 0.0).max(axis=0)
-        around = np.where(is_wrap, np.abs(turn - size), 0.0).max(axis=0)
-        wraps = is_wrap.any(axis=0) & (is_wrap | is_small).all(axis=0)
-        # Rounded angles may leave the turn a little.
-        wraps &= (extent <= 1.01 * turn) & (around <= 2 * usual)
-        turns |= dict.fromkeys(np.flatnonzero(wraps).tolist(), turn)
+    largest = np.abs(following - rows).max(axis=0, initial=0.0)
+    for column in np.flatnonzero(largest >= 0.75 * min(TURNS)).tolist():
+        for turn in TURNS:
+            if _wraps(rows[:, column], following[:, column], turn):
+                turns[column] = turn
     return turns
 
 
-def _warn_of_wraps(label: str, columns: list[str], turn: float, n_more: int) -> None:
-    """Warn of angles that wrap in some columns of one array, and how to mend them."""
-    others = f" (and {n_more} more arrays)" if n_more else ""
+def _wraps(values: Array, following: Array, turn: float) -> bool:
+    """Tell whether one column holds angles that wrap at this turn."""
+    size = np.abs(following - values)
+    around = np.abs(size - turn)  # the size of a wrap as a motion
+    is_small = size <= 0.25 * turn
+    if not is_small.any():
+        return False
+    usual = np.sort(size[is_small])
+    # The largest ones may be those into and out of a small glitch or two.
+    large = usual[-1 - min(len(usual) // 100, 4)]
+    is_wrap = around <= min(2 * large, 0.25 * turn)
+    if not is_wrap.any():
+        return False
+    ordered = np.sort(np.concatenate([values, following]))
+    # Rounded angles may leave the turn a little.
+    n_inside = np.searchsorted(ordered, ordered + 1.01 * turn, side="right")
+    n_outside = len(ordered) - (n_inside - np.arange(len(ordered))).max()
+    n_strange = max(n_outside / 2, np.count_nonzero(~(is_small | is_wrap)))
+    if n_strange == 0:
+        return True
+    is_rare = n_strange <= min(np.count_nonzero(is_wrap), MAX_STRANGE * len(size))
+    # The jumps of a noisy switch differ from a turn by more than its noise, while an
+    # angle that swings is at most sqrt(2) times as fast as in the mean square.
+    is_usual = np.median(around[is_wrap]) <= 1.5 * np.sqrt(np.mean(usual**2))
+    return bool(is_rare and is_usual)
+
+
+def warn_of_wraps(subject: str, columns: list[str], turn: float) -> None:
+    """Warn of angles that wrap in some columns, and how to mend them."""
     period = "360" if turn == 360 else "2 * np.pi"
     warn(
-        f"{label}{others} jumps by almost a full turn in column {', '.join(columns)}: "
-        "these angles wrap, and the jumps are no motion. Unwrap them by np.unwrap(..., "
-        f"axis=0, period={period})."
+        f"{subject} jumps by almost a full turn in column {', '.join(columns)}: these "
+        "angles wrap, and the jumps are no motion. Unwrap them by "
+        f"kinematics.unwrap_angles(..., period={period}), before gaps are filled."
     )
 
 

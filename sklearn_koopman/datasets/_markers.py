@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
@@ -58,15 +59,16 @@ def load_markers(
         The file.
     markers : sequence of str, default=None
         Names of the markers to read; None reads all. Only markers that are read are
-        checked for gaps and for their size.
+        checked for gaps.
     rate : float, default=150.0
         Frames per second of a tab-separated file, which does not state it. Not used
         for TRC files, which state it.
     unit : {"mm", "cm", "m"}, default=None
         Unit of the coordinates. None takes the unit of the TRC header, or "mm" for a
         tab-separated file, and refuses a body that would be smaller than 20 cm or
-        larger than 3 m, and that another unit brings nearer to 1 m. A unit that is
-        given wins over the header, and is not checked.
+        larger than 3 m, and that another unit brings nearer to 1 m. The body is that of
+        all markers of the file, whichever are read. A unit that is given wins over the
+        header, and is not checked.
     gaps : {"raise", "nan"}, default="raise"
         Whether gaps in the markers that are read are refused, or returned as NaN, for
         instance to fill them by :func:`~sklearn_koopman.kinematics.fill_gaps`.
@@ -118,8 +120,8 @@ def load_markers(
     number of the frame or seconds; seconds may be rounded to milliseconds, and must
     agree with `rate` within 1 %. Frame numbers are whole and advance by one.
 
-    The size of a body is the median over the frames of the largest extent of its
-    markers along an axis. A single marker has no size, and is not checked.
+    The size of a body is the median over the frames of the largest extent of all
+    markers of the file along an axis. A single marker has no size, and is not checked.
 
     A gap is a blank, NaN or infinite coordinate. Some programs write ``0  0  0``
     instead; such zeros cannot be told from a position and are returned as they are.
@@ -164,7 +166,7 @@ def load_markers(
         positions = _positions(rows, header, names)
         if gaps == "raise":
             _refuse_gaps(positions, [line for line, _ in rows])
-        units = unit or _unit_of_file(header.unit, positions)
+        units = unit or _unit_of_file(header.unit, _body(rows, header, positions))
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
     return Bunch(
@@ -343,6 +345,15 @@ def _positions(rows: _Rows, header: _Header, names: list[str]) -> dict[str, Arra
     return positions
 
 
+def _body(rows: _Rows, header: _Header, positions: dict[str, Array]) -> list[Array]:
+    """Add the other markers of the file to those that are read."""
+    body = [*positions.values()]
+    for name in header.columns.keys() - positions.keys():
+        with suppress(ValueError):  # what is not read may be damaged
+            body += _positions(rows, header, [name]).values()
+    return body
+
+
 def _refuse_gaps(positions: dict[str, Array], lines: list[int]) -> None:
     """Refuse gaps, all of them at once; each frame is a line of the file."""
     gaps = []
@@ -359,7 +370,7 @@ def _refuse_gaps(positions: dict[str, Array], lines: list[int]) -> None:
         )
 
 
-def _unit_of_file(claimed: str, positions: dict[str, Array]) -> str:
+def _unit_of_file(claimed: str, body: list[Array]) -> str:
     """Return the unit that a file claims; refuse it if the body has another size."""
     name = claimed.lower().replace("metre", "meter")
     unit = SPELLED_OUT.get(name, name)
@@ -368,7 +379,7 @@ def _unit_of_file(claimed: str, positions: dict[str, Array]) -> str:
             f"the file gives {claimed!r} as its unit, not 'mm', 'cm' or 'm'; pass "
             "unit, which wins over the file."
         )
-    cloud = np.stack([*positions.values()])
+    cloud = np.stack(body)
     # Unlike max and min, these ignore NaN.
     extents = np.fmax.reduce(cloud) - np.fmin.reduce(cloud)
     sizes = np.fmax.reduce(extents, axis=1)
