@@ -37,6 +37,8 @@ ORDERS = ("sequential", "farthest")
 # The default separation in units of the spread. A closed curve of one loop gets some
 # 40 centres, walking with delays some hundreds.
 SEPARATION_PER_SPREAD = 0.1
+# Part of a warning.
+FEW_CENTERS = "leaves too few centres"
 
 
 def _selects_in_batches(selector: Any) -> bool:
@@ -189,17 +191,22 @@ class SeparatedCenterSelector(
         Warns
         -----
         UserWarning
-            If the separation leaves one centre of samples that differ.
+            If the separation leaves one centre of samples that differ, or the default
+            two, as it does where some samples are far from all others.
         """
         self._extend(X, {})
-        alone = len(self.cluster_centers_) == 1 and self.max_centers != 1
-        if alone and self.fill_distance_ > 0:
+        n_centers, is_default = len(self.cluster_centers_), self.separation == "scale"
+        few = n_centers <= (2 if is_default else 1) and self.max_centers != n_centers
+        if few and self.fill_distance_ > 0:
             scale = spread(self._check_states(X))
+            remedy = "leave out samples that are far from all others, or set a number"
+            if not is_default:
+                number = resolve_separation("scale", scale)
+                remedy = f"set separation='scale', which is {number:.3g} here"
             warn(
-                f"separation={self.separation_:.3g} leaves 1 centre of "
-                f"{self.n_samples_seen_} samples, whose spread is {scale:.3g}; set "
-                "separation='scale', which is "
-                f"{resolve_separation('scale', scale):.3g} here."
+                f"separation={self.separation_:.3g} {FEW_CENTERS}, {n_centers} for "
+                f"{self.n_samples_seen_} samples, whose spread is {scale:.3g}; "
+                f"{remedy}."
             )
         return self
 

@@ -13,7 +13,7 @@ from ._dynamics._forecast import apply_powers, relift_states, sum_modes
 from ._dynamics._operator import block_diagonal, fit_operator, interpolate_operator
 from ._dynamics._spectrum import decompose, pack_weights, unpack
 from ._dynamics._successors import check_successors, find_successors
-from ._linalg._fit import Fit, make_nugget
+from ._linalg._fit import Fit, make_nugget, warn_of_weights
 from ._linalg._systems import (
     METHODS,
     SOLVERS,
@@ -707,6 +707,7 @@ default=None
             matrix, coordinates, fit = fit_operator(
                 system, X, X_next, targets, self.alpha, self.n_jobs, weights
             )
+            warn_of_weights(weights, fit.effective_dof)
             if rows is not None:
                 rows = rows[system.kept]
             # With every state a centre, a fit has no other rows than an interpolant.

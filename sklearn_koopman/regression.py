@@ -10,7 +10,7 @@ from sklearn.utils import check_X_y
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from ._linalg._fit import make_nugget
+from ._linalg._fit import make_nugget, warn_of_weights
 from ._linalg._systems import (
     METHODS,
     SOLVERS,
@@ -36,6 +36,7 @@ from ._regression._error_bound import (
 )
 from ._regression._estimate import Estimate, keep_averages
 from ._regression._partial_fit import (
+    Batch,
     add_centers,
     add_rows,
     check_batch,
@@ -363,12 +364,12 @@ default="auto"
                 sections, nugget, degree, self.solver, extent=extent, n_jobs=self.n_jobs
             )
             fit = system.least_squares(X, outputs, self.alpha, self.n_jobs, weights)
+            warn_of_weights(weights, fit.effective_dof)
         # Attributes are set last: a fit that fails leaves the estimator as it was.
         validate_data(self, given, y, skip_check_array=True)
         kept = None if rows is None else numbers[rows[system.kept]]
-        weight = total_weight(X, weights)
-        estimate = Estimate(system, fit, kept, averages, n_rows, weight)
-        self._store(estimate, y.shape[1:])
+        estimate = Estimate(system, fit, kept, averages)
+        self._store(estimate, y.shape[1:], n_rows, total_weight(X, weights))
         self._spread = scale
         return self
 
@@ -441,25 +442,24 @@ default="auto"
             check_batch(self, self._direct_system(), y)
         n_given = len(X)
         weights, numbers, X, y = drop_absent(sample_weight, X, y)
-        batch = X, y.reshape(len(y), -1), weights
+        before = getattr(self, "_n_rows", 0)
+        batch = Batch(X, y.reshape(len(y), -1), weights, before + numbers)
+        weight = getattr(self, "_weight", before) + total_weight(X, weights)
         growth = getattr(self, "_growth", None)
         if self._interpolates_centers:
             system, averages = self._direct_system(), AveragedOutputs(*self._averages)
-            before, n_rows = self._n_rows, self._n_rows + n_given
-            weight = getattr(self, "_weight", before) + total_weight(X, weights)
-            place = numbers + before, n_rows, weight
-            estimate = add_centers(system, averages, self, *batch, *place)
+            estimate = add_centers(system, averages, self, batch, weight)
         elif growth is not None:
-            estimate = add_rows(growth, self.alpha, *batch)
+            estimate = add_rows(growth, self.alpha, batch)
         else:
             scale = spread(X, weights)
             sections, _, _ = self._resolve_centers(X, y, weights, numbers, scale)
-            growth, estimate = start_least_squares(sections, self, *batch, scale)
+            growth, estimate = start_least_squares(sections, self, batch)
         # Attributes are set last: a batch that fails is not counted.
         if not started:
             validate_data(self, given, y, skip_check_array=True)
             self._spread = scale
-        self._store(estimate, y.shape[1:])
+        self._store(estimate, y.shape[1:], before + n_given, weight)
         if growth is not None:
             self._growth = growth
         return self
@@ -705,15 +705,17 @@ default="auto"
         kernel = as_kernel(self.kernel, self.beta, n_features, scale)
         return resolve_centers(self, kernel, X, y, weights, numbers)
 
-    def _store(self, estimate: Estimate, shape: tuple[int, ...]) -> None:
-        """Store an estimate for outputs of this shape."""
+    def _store(
+        self, estimate: Estimate, shape: tuple[int, ...], n_rows: int, weight: float
+    ) -> None:
+        """Store an estimate for outputs of this shape, from rows of this weight."""
 
         def shaped(values: Array) -> Any:
             return values.reshape((*values.shape[:-1], *shape))[()]
 
         for stale in _STALE:
             self.__dict__.pop(stale, None)
-        system, fit, rows, averages, n_rows, self._weight = estimate
+        system, fit, rows, averages = estimate
         sections = system.sections
         self.kernel_ = sections.kernel
         self.solver_ = system.solver
@@ -733,7 +735,7 @@ default="auto"
         if noise_std is None:
             noise_std = signal_std * np.sqrt(self.alpha)
         self.signal_std_, self.noise_std_ = shaped(signal_std), shaped(noise_std)
-        self._n_rows = n_rows
+        self._n_rows, self._weight = n_rows, weight
         self._nugget = system.nugget
         if averages is not None:
             self._averages = (*averages,)

@@ -96,7 +96,8 @@ default=None
         How held-out predictions are scored; larger is better. A name or a scorer of
         scikit-learn. The scorer gets an estimator that returns the held-out
         predictions, and the weights of the rows if it, or its metric, has the parameter
-        `sample_weight`; others score all rows alike. None means the negative mean
+        `sample_weight` (whatever it requests under metadata routing); others score all
+        rows alike. None means the negative mean
         squared error for leave-one-out, in the squared unit of the outputs, and
         otherwise R^2, averaged over the outputs.
     cv : int, cross-validation splitter or iterable, default=None
@@ -279,7 +280,7 @@ default=None
         self.n_jobs = n_jobs
 
     def fit(
-        self, X: Any, y: Any, groups: Any = None, sample_weight: Any = None
+        self, X: Any, y: Any, groups: Any = None, *, sample_weight: Any = None
     ) -> Self:
         """Choose kernel, scale and weight, and fit the estimate to all rows.
 
@@ -358,8 +359,9 @@ default=None
                 )
         share = problem, grid["alpha"], scorer, self.cv is None
         with warnings.catch_warnings():
-            # Refits may lose dependent centres; the winner warns if it does. Held-out
-            # rows that a kernel does not reach show in its score.
+            # Refits may lose dependent centres, or digits to weights; the winner warns
+            # if it does. Held-out rows that a kernel does not reach show in its score.
+            warnings.filterwarnings("ignore", "sample_weight")
             warnings.simplefilter("ignore", LinAlgWarning)
             warnings.simplefilter("ignore", ExtrapolationWarning)
             many = effective_n_jobs(self.n_jobs) > 1
@@ -367,7 +369,7 @@ default=None
                 scored = Parallel(n_jobs=self.n_jobs, prefer="threads")(
                     delayed(score_kernel)(kernel, *share) for kernel in kernels
                 )
-        # In the order of GridSearchCV, so that it chooses among equals as that does.
+        # In the order of GridSearchCV if scales are given: ties are decided as there.
         params = [
             {"alpha": alpha, "beta": beta, "kernel": kernel}
             for alpha in grid["alpha"]

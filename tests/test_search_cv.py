@@ -266,7 +266,7 @@ def test_interpolation_of_arrays(q):
             stay = np.delete(np.arange(M), fold.out)
             system = np.zeros((len(stay) + q, len(stay) + q))
             system[: len(stay), : len(stay)] = K[stay][:, stay] + np.diag(
-                noise[stay] + alpha * weight[stay]
+                noise[stay] + alpha / weight[stay]
             )
             system[: len(stay), len(stay) :] = P[stay]
             system[len(stay) :, : len(stay)] = P[stay].T

@@ -273,6 +273,7 @@ def test_interpolants_have_alpha_over_the_weight_on_the_diagonal(
     assert_allclose(model.noise_std_, signal * np.sqrt(alpha), rtol=10 * atol)
 
 
+@pytest.mark.filterwarnings("ignore:sample_weight")
 @every_pair(centers=CENTERS, method=METHODS, trend=TRENDS, times=[1e-20, 7.0, 1e20])
 def test_only_the_ratio_of_weights_and_alpha_matters(
     noisy, centers, method, trend, times
@@ -960,6 +961,7 @@ def test_folds_of_absent_rows_are_refused(noisy):
         model.fit(X, y, sample_weight=weights)
 
 
+@pytest.mark.filterwarnings("ignore:sample_weight")
 def test_tiny_weights_do_not_spoil_the_closed_form(noisy):
     X, y, _ = noisy
     weights = np.where(np.arange(60) % 3 == 0, 1e-30, 1.0)
@@ -1060,6 +1062,53 @@ def test_bad_weights_are_refused_and_leave_the_former_fit(noisy, kind, bad):
     with pytest.raises(ValueError, match=rf"(?s)sample_weight.*{message}"):
         fit(X, y, sample_weight=weights)
     assert_array_equal(model.predict(X_new), before)
+
+
+@pytest.mark.parametrize("kind", ["regressor", "batches", "operator"])
+def test_weights_that_tell_no_noise_or_lose_digits_warn(noisy, kind):
+    """Weights of sum one gave a standard deviation of 0 without a word."""
+    X, y, _ = noisy
+    centers = X[::6]
+    options = {"beta": 1.0, "centers": centers, "method": "least_squares", "alpha": 0.1}
+    if kind == "operator":
+        model = KernelEDMD(n_modes=0, **options)
+        data = {"X": X, "y": y, "X_next": 0.9 * X}
+    else:
+        model = KoopmanKernelRegressor(**options)
+        data = {"X": X, "y": y}
+    weights = np.random.default_rng(0).uniform(0.5, 2.0, 60)
+    weights /= weights.mean()
+
+    def fit(sample_weight, alpha):
+        own = clone(model).set_params(alpha=alpha)
+        fit = own.partial_fit if kind == "batches" else own.fit
+        return fit(**data, sample_weight=sample_weight)
+
+    expected = fit(weights, 0.1).noise_std_
+    assert (expected > 0.05).all()
+    with pytest.warns(UserWarning, match="sums to 1, no more than .* by their mean"):
+        fit(weights / 60, 0.1 / 60)
+    weights[7] = 1e12
+    with pytest.warns(
+        UserWarning, match=r"to 1e\+12, so that least .* loses 12 digits"
+    ):
+        fit(weights, 0.1)
+
+
+def test_first_batch_whose_present_rows_are_equal_warns(noisy):
+    X, y, _ = noisy
+    rows = [0, 0, 1, 2]
+    with pytest.warns(UserWarning, match="rows of the first batch are equal"):
+        KoopmanKernelRegressor(alpha=0.1).partial_fit(X[rows], y[rows], [1, 1, 0, 0])
+
+
+def test_metric_without_a_signature_gets_no_weights(noisy):
+    X, y, _ = noisy
+    scorer = make_scorer(np.dot)
+    options = {"betas": [1.0], "alphas": [0.1], "cv": 3, "scoring": scorer}
+    search = KoopmanKernelRegressorCV(**options)
+    search.fit(X, y[:, 0], sample_weight=np.ones(60))
+    assert np.isfinite(search.best_score_)
 
 
 # --- Rows -----------------------------------------------------------------------------

@@ -22,6 +22,8 @@ MAX_NUGGET = 1e10
 # Least squares needs this part of the rows beyond the number of its parameters for an
 # estimate of the noise.
 MIN_SPARE_PART = 1e-6
+# Weights of least squares that differ by a larger factor leave few digits of the rest.
+MAX_WEIGHT_RATIO = 1e8
 
 
 class Fit(NamedTuple):
@@ -37,7 +39,7 @@ class Fit(NamedTuple):
 
 def make_nugget(alpha: float, weights: Array, diagonal: Array) -> Array:
     """Return what outputs with these weights add to the diagonal of a Gram matrix."""
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"):  # capped below
         nugget = alpha / weights
     return np.minimum(nugget, MAX_NUGGET * max(float(diagonal.max()), alpha))
 
@@ -65,6 +67,26 @@ def scale_residuals(norms: Array, n_rows: float, dof: float) -> Array | None:
     """
     spare = n_rows - dof
     return norms / np.sqrt(spare) if spare > MIN_SPARE_PART * n_rows else None
+
+
+def warn_of_weights(weights: Array | None, dof: float) -> None:
+    """Warn of weights that leave least squares no measure of noise, or few digits."""
+    if weights is None:
+        return
+    total = weights.sum()
+    if total <= dof < len(weights):
+        warn(
+            f"sample_weight sums to {total:.3g}, no more than the {dof:.3g} effective "
+            "parameters, so that noise_std_ is not known; divide the weights by their "
+            "mean."
+        )
+    smallest, largest = weights.min(), weights.max()
+    if largest > MAX_WEIGHT_RATIO * smallest:
+        warn(
+            f"sample_weight goes from {smallest:.3g} to {largest:.3g}, so that least "
+            f"squares loses {np.log10(largest) - np.log10(smallest):.0f} digits; set "
+            "the smallest weights to 0, or bring them closer together."
+        )
 
 
 def relative_error(reached: Array, wanted: Array) -> float:

@@ -93,7 +93,7 @@ def leave_out_interpolation(
     K : ndarray of shape (n_rows, M)
         Kernel matrix of all rows and the centres, which are the first M rows.
     noise, weight : ndarray of shape (M,)
-        D is `noise` + alpha * `weight`.
+        D is `noise` + `make_nugget` of alpha and `weight`.
     P : ndarray of shape (n_rows, q)
         Polynomials, orthonormal on the centres.
     u : ndarray of shape (M, n_outputs)
@@ -111,7 +111,7 @@ def leave_out_interpolation(
     outcomes: list[Predictions | ValueError] = []
     for alpha in alphas:
         try:
-            nugget = make_nugget(alpha, 1 / weight, K.diagonal() + noise)
+            nugget = make_nugget(alpha, weight, K.diagonal() + noise)
             outcomes.append(_interpolate(K, noise + nugget, P, u, folds))
         except np.linalg.LinAlgError as error:
             outcomes.append(error)

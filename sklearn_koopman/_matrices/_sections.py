@@ -315,10 +315,11 @@ def _correlations(
     """Return a function that gives the largest correlation in each row of a tile."""
     if isinstance(sections.kernel, RadialKernel):  # whose sections have norm 1
         return lambda tile, rows, columns: tile.max(axis=1)
+    if sections.kernel.is_stationary():
+        square = float(sections.smooth_diagonal(X[:1])[0]) or 1.0
+        return lambda tile, rows, columns: np.abs(tile).max(axis=1) / square
     left = np.sqrt(sections.smooth_diagonal(X))
-    right = np.repeat(left[:1], sections.size)
-    if isinstance(sections, KernelSections):
-        right = np.sqrt(sections.smooth_diagonal(sections.points))
+    right = np.sqrt(sections.smooth_diagonal(sections.points))
 
     def correlate(tile: Array, rows: slice, columns: slice) -> Array:
         # A section of norm 0 has no correlation, and the value 0 is right there.

@@ -60,10 +60,10 @@ class Problem:
 
     @cached_property
     def outputs(self) -> tuple[Array, Array]:
-        """Outputs of the centres, and their diagonal in units of alpha."""
+        """Outputs of the centres, and the weight of each: the number of its rows."""
         M, place, y = len(self.centers), self.table[1], self.y.reshape(len(self.y), -1)
         means = group_means(y, place, self.weights)[:M]
-        return means, 1 / np.bincount(place, self.weights)[:M]
+        return means, np.bincount(place, self.weights)[:M].astype(np.float64)
 
     @cached_property
     def folds(self) -> list[Fold]:
@@ -182,7 +182,10 @@ def negative_squared_errors(estimator: Any, X: Array, y: Array) -> Array:
 def takes_weights(scorer: Any) -> bool:
     """Tell whether a scorer, or the metric that it was made of, takes weights."""
     metric = getattr(scorer, "_score_func", scorer)
-    return "sample_weight" in signature(metric).parameters
+    try:
+        return "sample_weight" in signature(metric).parameters
+    except ValueError:  # of a function without a signature, as some of NumPy
+        return False
 
 
 def score_kernel(

@@ -17,8 +17,6 @@ class Estimate(NamedTuple):
     fit: Fit
     rows: Indices | None  # which rows the centres are, where that is known
     averages: AveragedOutputs | None  # outputs at the centres, if it interpolates them
-    n_rows: int  # those of weight zero, too
-    weight: float  # of all rows; their number if they have none
 
 
 def keep_averages(

@@ -1,7 +1,7 @@
 """Growth of a fitted regressor by a batch of rows: functions of its state."""
 
 import warnings
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.base import clone
@@ -13,6 +13,7 @@ from .._linalg._fit import (
     make_nugget,
     negligible_tolerance,
     scale_residuals,
+    warn_of_weights,
 )
 from .._linalg._incremental import GrowingLeastSquares, GrowingSystem
 from .._linalg._systems import DirectSystem
@@ -27,7 +28,7 @@ from .._utils._rows import (
     warn_without_spread,
 )
 from .._utils._typing import Array, Indices
-from ..centers import SeparatedCenterSelector, resolve_separation
+from ..centers import FEW_CENTERS, SeparatedCenterSelector, resolve_separation
 from ..kernels import as_kernel
 from ..solvers import ConjugateGradient
 from ._estimate import Estimate, keep_averages
@@ -90,15 +91,32 @@ def check_batch(model: Any, system: DirectSystem, y: Array) -> None:
         )
 
 
+class Batch(NamedTuple):
+    """Rows that count, of one call of partial_fit.
+
+    Attributes
+    ----------
+    X : ndarray of shape (n_samples, n_features)
+        The states.
+    y : ndarray of shape (n_samples, n_outputs)
+        Their outputs.
+    weights : ndarray of shape (n_samples,) or None
+        Their weights, if they have any.
+    numbers : ndarray of shape (n_samples,)
+        Their numbers, counted through all batches.
+    """
+
+    X: Array
+    y: Array
+    weights: Array | None
+    numbers: Indices
+
+
 def add_centers(
     system: DirectSystem,
     averages: AveragedOutputs,
     model: Any,
-    X: Array,
-    y: Array,
-    weights: Array | None,
-    numbers: Indices,
-    n_rows: int,
+    batch: Batch,
     weight: float,
 ) -> Estimate:
     """Return an interpolant with the rows of a batch that become centres.
@@ -114,16 +132,10 @@ def add_centers(
         The outputs at its centres.
     model : KoopmanKernelRegressor
         For its parameters, and the numbers of the rows that are centres.
-    X : ndarray of shape (n_samples, n_features)
-        The states of the batch.
-    y : ndarray of shape (n_samples, n_outputs)
-        Their outputs.
-    weights : ndarray of shape (n_samples,) or None
-        Their weights, if they have any.
-    numbers : ndarray of shape (n_samples,)
-        Their numbers, counted through all batches.
-    n_rows, weight : int, float
-        The number of all rows, with the batch, and the sum of their weights.
+    batch : Batch
+        The rows.
+    weight : float
+        The sum of the weights of all rows, with those of the batch.
 
     Returns
     -------
@@ -136,9 +148,9 @@ def add_centers(
         If equal rows contradict each other, or if there is no interpolant.
     """
     known, before = system.sections, averages.means
-    points = np.vstack([known.points, X])
-    numbers = np.append(model.center_indices_, numbers)
-    averages = averages.joined(y, weights)
+    points = np.vstack([known.points, batch.X])
+    numbers = np.append(model.center_indices_, batch.numbers)
+    averages = averages.joined(batch.y, batch.weights)
     fits = model.method == "least_squares"
     if model.centers is None:
         exact = model.alpha == 0 and not fits
@@ -147,7 +159,7 @@ def add_centers(
         selector = clone(model.centers)
         scale = _first_spread(model, known.points)
         selector.separation = resolve_separation(selector.separation, scale)
-        selector.partial_fit(known.points).partial_fit(X)
+        selector.partial_fit(known.points).partial_fit(batch.X)
         chosen = selector.center_indices_
         averages = average_at(points[chosen], points, averages)
     sections = KernelSections(known.kernel, points[chosen])
@@ -169,7 +181,7 @@ def add_centers(
         norms = np.sqrt(averages.scatter)
         noise_std = scale_residuals(norms, weight, fit.effective_dof)
         fit = fit._replace(noise_std=noise_std)
-    return Estimate(system, fit, rows, averages, n_rows, weight)
+    return Estimate(system, fit, rows, averages)
 
 
 def start_by_fit(model: Any, X: Any, y: Any, sample_weight: Any) -> Any:
@@ -178,19 +190,15 @@ def start_by_fit(model: Any, X: Any, y: Any, sample_weight: Any) -> Any:
     A first batch may be so short that it has one centre only.
     """
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "separation=.* leaves 1 centre")
+        warnings.filterwarnings("ignore", f".*{FEW_CENTERS}")
         model.fit(X, y, sample_weight)
-    warn_without_spread(model, X)
+    present = slice(None) if sample_weight is None else np.asarray(sample_weight) > 0
+    warn_without_spread(model, np.asarray(X)[present])
     return model
 
 
 def start_least_squares(
-    sections: Sections,
-    model: Any,
-    X: Array,
-    y: Array,
-    weights: Array | None,
-    scale: float,
+    sections: Sections, model: Any, batch: Batch
 ) -> tuple[GrowingLeastSquares, Estimate]:
     """Return least squares at given centres for the first batch.
 
@@ -199,6 +207,7 @@ def start_least_squares(
     ValueError
         If there is no estimate.
     """
+    X, y, weights, _ = batch
     check_rows_suffice(len(X), sections.size, model.alpha)
     nugget, degree = np.zeros(sections.size), DEGREES[model.trend]
     solver = "cholesky" if model.solver == "cholesky" else "pivoted_cholesky"
@@ -209,16 +218,14 @@ def start_least_squares(
         growth = GrowingLeastSquares.over(system, X, y, weights)
         return growth, growth.fit(X, model.alpha)
 
-    weight = total_weight(X, weights)
-    negligible = negligible_tolerance(weight, model.alpha)
+    negligible = negligible_tolerance(total_weight(X, weights), model.alpha)
     growth, fit = system.until_sound(start, negligible)
     warn_without_spread(model, X)
-    return growth, Estimate(system, fit, None, None, len(X), weight)
+    warn_of_weights(weights, fit.effective_dof)
+    return growth, Estimate(system, fit, None, None)
 
 
-def add_rows(
-    growth: GrowingLeastSquares, alpha: float, X: Array, y: Array, weights: Array | None
-) -> Estimate:
+def add_rows(growth: GrowingLeastSquares, alpha: float, batch: Batch) -> Estimate:
     """Return least squares with the rows of a further batch.
 
     O(n M^2) operations for n rows.
@@ -229,10 +236,10 @@ def add_rows(
         If there is no estimate; the sums are then those of the batches before.
     """
     try:
-        fit = growth.add(X, y, alpha, weights)
+        fit = growth.add(batch.X, batch.y, alpha, batch.weights)
     except np.linalg.LinAlgError as error:
         raise ValueError(f"No estimate with these rows: {error}. {REMEDY}") from error
-    return Estimate(growth.system, fit, None, None, len(X), growth.weight)
+    return Estimate(growth.system, fit, None, None)
 
 
 def _first_spread(model: Any, points: Array) -> float:

@@ -25,16 +25,14 @@ def spread(X: Array, sample_weight: Array | None = None) -> float:
     X : ndarray of shape (n_samples, n_features)
         The rows.
     sample_weight : ndarray of shape (n_samples,), default=None
-        How often each row counts, at least one of them above 0. By default all once.
+        How often each row counts, more than 0. By default all once.
 
     Returns
     -------
     spread : float
-        The square root of the sum of the variances of the columns; 1 if all rows that
-        count are equal.
+        The square root of the sum of the variances of the columns; 1 if all rows are
+        equal.
     """
-    if sample_weight is not None:
-        X, sample_weight = X[sample_weight > 0], sample_weight[sample_weight > 0]
     # Differences from the least values, in units of the largest difference: then
     # neither an offset nor a unit costs digits, and equal rows have exactly none.
     least = X.min(axis=0)
