@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
+from ._utils._clocks import HOLE, count_recordings, find_index, find_steps, read_labels
 from ._utils._typing import Array, Indices
 from ._utils._validation import check_integer
 from ._utils._warnings import warn
@@ -275,18 +276,27 @@ def _check_recording(recording: Any, values: Array) -> None:
             f"recording holds infinity in {len(lost)} of {len(values)} frames, first "
             f"in frame {lost[0]}; replace it by NaN if it marks a gap."
         )
-    if not hasattr(recording, "iloc"):
+    index = find_index(recording)
+    labels = None if index is None else read_labels(index, "recording")
+    if index is not None and count_recordings(index) > 1:
+        raise ValueError(
+            f"the index of recording holds {count_recordings(index)} recordings; fill "
+            "them one by one, or drop an index that means nothing by "
+            "reset_index(drop=True)."
+        )
+    if labels is None or len(labels) < 2:
         return
-    clock = np.asarray(recording.index.get_level_values(-1))
-    if clock.dtype.kind in "iufmM":
-        steps = np.diff(clock).astype(np.float64)
-        usual = np.sort(steps)[len(steps) // 2 :][:1]
-        for row in np.flatnonzero(np.abs(steps - usual) > 0.5 * np.abs(usual))[:1]:
-            raise ValueError(
-                f"the index of recording goes from {clock[row]} to {clock[row + 1]}, "
-                "which is not the step of most rows; pass one recording, with a row of "
-                "NaN for each missing frame, for instance by recording.reindex."
-            )
+    is_jump = np.diff(labels) <= 0
+    if not is_jump.any():
+        remedy = "interpolate the recording onto a regular grid"
+        is_jump = find_steps(labels, "recording", remedy)[0] > HOLE
+    for row in np.flatnonzero(is_jump)[:1]:
+        before, after = index.get_level_values(-1)[[row, row + 1]]
+        raise ValueError(
+            f"the index of recording goes from {before} to {after}, which is not the "
+            "usual step; pass one recording, with a row of NaN for each missing frame, "
+            "for instance by recording.reindex."
+        )
 
 
 def _fill_column(column: Array, max_gap: int) -> None:

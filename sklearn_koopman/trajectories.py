@@ -11,8 +11,8 @@ from sklearn import get_config
 from sklearn.model_selection import BaseCrossValidator, GroupKFold, KFold
 from sklearn.utils import Bunch
 
+from ._utils._clocks import count_recordings, find_index, read_labels
 from ._utils._embedding import EMBEDDINGS, check_offsets, embed, embedded_names
-from ._utils._frames import index_level
 from ._utils._recordings import Samples, read_recordings
 from ._utils._rows import distinct_rows
 from ._utils._typing import Array, Indices
@@ -503,28 +503,28 @@ def find_trials(X: Any, y: Any) -> Array | None:
     Returns
     -------
     trials : ndarray of shape (n_samples,), or None
-        The level "trial" of the index. None if there is no such level, or only one
-        trial in it.
+        All levels of the index but "sample_index", as one; without this level, the
+        level "trial" and those before it. None if there are none, or only one trial.
 
     Raises
     ------
     ValueError
         If the index shows several trajectories, but has no such level.
     """
-    trials = index_level("trial", X, y)
-    if trials is not None:
-        return trials if (trials != trials[0]).any() else None
-    indices = (getattr(data, "index", None) for data in (X, y))
-    index = next((i for i in indices if hasattr(i, "get_level_values")), None)
+    index = find_index(X, y)
     if index is None:
         return None
-    if index.nlevels > 1:
-        shows_several = index.droplevel(-1).nunique() > 1
-    else:
-        is_clock = index.dtype.kind in "iufmM"
-        rises = index.is_monotonic_increasing and index.is_unique
-        shows_several = is_clock and not rises
-    if shows_several:
+    names, trials = list(index.names), None
+    if "sample_index" in names and len(names) > 1:
+        trials = index.droplevel("sample_index")
+    elif "trial" in names:
+        trials = index.droplevel([*range(names.index("trial") + 1, len(names))])
+    if trials is not None:
+        groups = trials.factorize()[0] if trials.nlevels > 1 else trials.to_numpy()
+        return groups if trials.nunique(dropna=False) > 1 else None
+    labels = read_labels(index, "X")
+    falls = labels is not None and (np.diff(labels) <= 0).any()
+    if falls or count_recordings(index) > 1:
         raise ValueError(
             "the index restarts or repeats, as it does for several trajectories one "
             "after the other; pass the trajectory of each row as groups=, or drop an "

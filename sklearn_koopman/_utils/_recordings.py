@@ -9,12 +9,10 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from sklearn.utils import check_array
 
-from ._clocks import HOLE, Clock, find_clocks, read_labels, resolve_rates
+from ._clocks import HOLE, Clock, find_clocks, read_together, resolve_rates
 from ._typing import Array, Indices, Mask
 from ._validation import check_choice, check_columns, check_number
-from ._warnings import warn
-
-TURNS = (360.0, 2 * np.pi)
+from ._wraps import find_wraps, warn_of_wraps
 
 
 class Samples(NamedTuple):
@@ -153,53 +151,69 @@ def read_recordings(
         check_number(resample, "resample", positive=True)
     items = _as_list(trajectories, name)
     states = _as_arrays(items, name, gaps)
+    names = output_names = _column_names(items, states[0], "x")
     targets, measured = items, states
     if outputs is not None:
         targets = _as_list(outputs, "outputs")
         measured = _as_arrays(targets, "outputs", gaps)
-    if len(states) != len(measured):
+        output_names = _column_names(targets, measured[0], "y")
+    lengths = _check_lengths(states, measured)
+    labels = [
+        read_together(item, target, number)
+        for number, (item, target) in enumerate(zip(items, targets, strict=True))
+    ]
+    clocks = find_clocks(labels, lengths, resample)
+    if gaps == "raise":
+        _refuse_holes(clocks)
+    rates = resolve_rates(rates, clocks, resample)
+    recordings = [
+        _divide(*each) for each in zip(states, measured, clocks, rates, strict=True)
+    ]
+    wraps = _wraps_in(recordings, "states", name, names)
+    if outputs is not None:
+        wraps |= _wraps_in(recordings, "outputs", "outputs", output_names)
+    warn_of_wraps(wraps)
+    is_pandas = any(hasattr(item, "iloc") for item in items)
+    return Recordings(recordings, names, output_names, is_pandas)
+
+
+def _check_lengths(states: list[Array], outputs: list[Array]) -> list[int]:
+    """Return the lengths of the recordings, which are those of their outputs."""
+    if len(states) != len(outputs):
         raise ValueError(
-            f"outputs holds {len(measured)} arrays for {len(states)} trajectories; "
+            f"outputs holds {len(outputs)} arrays for {len(states)} trajectories; "
             "pass one array of outputs for every trajectory."
         )
-    labels = []
-    for number, (x, y) in enumerate(zip(states, measured, strict=True)):
+    for number, (x, y) in enumerate(zip(states, outputs, strict=True)):
         if len(x) != len(y):
             raise ValueError(
                 f"trajectory {number} has {len(x)} samples but its outputs have "
                 f"{len(y)}; states and outputs must be sampled together."
             )
-        labels.append(read_labels(items[number], targets[number], number))
-    clocks = find_clocks(labels, states, resample)
-    known = resolve_rates(rates, clocks, resample)
+    return [len(x) for x in states]
 
-    names = _column_names(items, states[0], "x")
-    output_names = names
-    if outputs is not None:
-        output_names = _column_names(targets, measured[0], "y")
-    recordings = []
-    wraps: list[tuple[str, list[str], float]] = []
-    for number, (x, y) in enumerate(zip(states, measured, strict=True)):
-        is_hole = clocks[number].steps > HOLE
-        if gaps == "raise":
-            _refuse_holes(clocks[number], is_hole, number)
-        columns = y.reshape(len(y), -1)
-        is_there = _complete(x) & _complete(columns)
-        is_link = is_there[1:] & is_there[:-1] & ~is_hole
-        sources = [(name, names, x)]
-        if outputs is not None:
-            sources.append(("outputs", output_names, columns))
-        for source, own_names, values in sources:
-            turns = find_wraps(values[:-1][is_link], values[1:][is_link])
-            for turn in {*turns.values()}:
-                shown = [own_names[column] for column in turns if turns[column] == turn]
-                wraps.append((f"{source}[{number}]", shown, turn))
-        samples = _samples(x, y, clocks[number], known[number])
-        recordings.append(Recording(samples, _pieces(is_there, is_link)))
-    if wraps:
-        _warn_of_wraps(*wraps[0], len(wraps) - 1)
-    is_pandas = any(hasattr(item, "iloc") for item in items)
-    return Recordings(recordings, names, output_names, is_pandas)
+
+def _divide(x: Array, y: Array, clock: Clock, rate: float | None) -> Recording:
+    """Number and time the samples of a recording, and find the pieces between gaps."""
+    is_there = _complete(x) & _complete(y.reshape(len(y), -1))
+    is_link = is_there[1:] & is_there[:-1] & (clock.steps <= HOLE)
+    return Recording(_samples(x, y, clock, rate), _pieces(is_there, is_link))
+
+
+def _wraps_in(
+    recordings: list[Recording], kind: str, label: str, names: list[str]
+) -> dict[str, dict[str, float]]:
+    """Find angles that wrap in the states or outputs, but not across gaps."""
+    wraps = {}
+    for number, (samples, pieces) in enumerate(recordings):
+        values = getattr(samples, kind).reshape(len(samples.time), -1)
+        is_start = np.zeros(len(values), dtype=bool)
+        for piece in pieces:
+            is_start[piece.start : piece.stop - 1] = True
+        starts = np.flatnonzero(is_start)
+        turns = find_wraps(values[starts], values[starts + 1])
+        wraps[f"{label}[{number}]"] = {names[c]: turn for c, turn in turns.items()}
+    return wraps
 
 
 def _as_list(data: Any, name: str) -> list[Any]:
@@ -249,64 +263,19 @@ def _column_names(items: list[Any], first: Array, prefix: str) -> list[str]:
     return [f"{prefix}{column}" for column in range(n_columns)]
 
 
-def find_wraps(rows: Array, following: Array) -> dict[int, float]:
-    """Find the columns that hold angles which wrap.
-
-    Such a column lies within one turn and steps now and then by nearly a turn, never by
-    about half of one. Counted around the circle, these steps are about as small as the
-    others, which distinguishes them from the jumps of a switch or of a sawtooth.
-
-    Parameters
-    ----------
-    rows : ndarray of shape (n_links, n_columns)
-        Samples.
-    following : ndarray of shape (n_links, n_columns)
-        The next sample after each of them.
-
-    Returns
-    -------
-    turns : dict of int to float
-        The full turn, 360 or 2 pi, of each column that wraps.
-    """
-    turns: dict[int, float] = {}
-    size = np.abs(following - rows)
-    if size.max(initial=0.0) < 0.75 * min(TURNS):
-        return turns
-    high = np.maximum(rows.max(axis=0), following.max(axis=0))
-    extent = high - np.minimum(rows.min(axis=0), following.min(axis=0))
-    for turn in TURNS:
-        is_wrap, is_small = size >= 0.75 * turn, size <= 0.25 * turn
-        usual = np.where(is_small, size, 0.0).max(axis=0)
-        around = np.where(is_wrap, np.abs(turn - size), 0.0).max(axis=0)
-        wraps = is_wrap.any(axis=0) & (is_wrap | is_small).all(axis=0)
-        # Rounded angles may leave the turn a little.
-        wraps &= (extent <= 1.01 * turn) & (around <= 2 * usual)
-        turns |= dict.fromkeys(np.flatnonzero(wraps).tolist(), turn)
-    return turns
-
-
-def _warn_of_wraps(label: str, columns: list[str], turn: float, n_more: int) -> None:
-    """Warn of angles that wrap in some columns of one array, and how to mend them."""
-    others = f" (and {n_more} more arrays)" if n_more else ""
-    period = "360" if turn == 360 else "2 * np.pi"
-    warn(
-        f"{label}{others} jumps by almost a full turn in column {', '.join(columns)}: "
-        "these angles wrap, and the jumps are no motion. Unwrap them by np.unwrap(..., "
-        f"axis=0, period={period})."
-    )
-
-
-def _refuse_holes(clock: Clock, is_hole: Mask, number: int) -> None:
-    """Refuse an index that leaves out samples."""
-    if is_hole.any():
-        first = int(is_hole.argmax())
-        before, after = clock.labels[[first, first + 1]]
-        raise ValueError(
-            f"the index of trajectory {number} has a hole in {is_hole.sum()} places, "
-            f"first from {before:g} to {after:g}; pass gaps='split', fill it by "
-            "reindexing and kinematics.fill_gaps, or drop an index that does not count "
-            "frames or seconds by reset_index(drop=True)."
-        )
+def _refuse_holes(clocks: list[Clock]) -> None:
+    """Refuse indices that leave out samples."""
+    for number, clock in enumerate(clocks):
+        is_hole = clock.steps > HOLE
+        if is_hole.any():
+            first = int(is_hole.argmax())
+            before, after = clock.labels[[first, first + 1]]
+            raise ValueError(
+                f"the index of trajectory {number} has a hole in {is_hole.sum()} "
+                f"places, first from {before:g} to {after:g}; pass gaps='split', fill "
+                "it by reindexing and kinematics.fill_gaps, or drop an index that does "
+                "not count frames or seconds by reset_index(drop=True)."
+            )
 
 
 def _refuse_axes(shape: tuple[int, ...], name: str) -> None:
