@@ -10,6 +10,7 @@ from .._utils._typing import Array, Indices, Mask
 # Values agree within this part of a column's range (and the rounding of single
 # precision). Those that differ by more than `APART` are others, whatever was rounded.
 AGREEMENT, APART = 1e-6, 1e-3
+SINGLE = np.finfo(np.float32).eps
 # A column with fewer distinct values in the rows that are sampled, such as a contact,
 # may repeat another one by chance.
 N_SAMPLED, MIN_LEVELS = 24, 6
@@ -70,7 +71,11 @@ class Columns:
         self.sample = rng.choice(n_starts, min(N_SAMPLED, n_starts), replace=False)
         levels = np.sort(outputs[self.sample], axis=0)
         n_levels = 1 + (np.diff(levels, axis=0) > 0).sum(axis=0)
-        self.candidates = np.flatnonzero(n_levels >= min(MIN_LEVELS, len(self.sample)))
+        extent, rounding = np.ptp(outputs, axis=0), SINGLE * np.abs(outputs).max(axis=0)
+        self.candidates = np.flatnonzero(
+            (n_levels >= min(MIN_LEVELS, len(self.sample)))
+            & (rounding < APART * extent)
+        )
 
     def drop(self, columns: set[int]) -> None:
         """Leave out some outputs."""
@@ -171,14 +176,29 @@ class Columns:
         slope = (u[high] - u[low]) / (v[high + shift] - floor)
         distance = np.abs(u[rows] - u[low] - slope * (v[rows + shift] - floor))
         extent = np.ptp(u)
-        near = AGREEMENT * extent + np.finfo(np.float32).eps * np.abs(u).max()
-        # Where nothing moves, any shift agrees.
-        before = rows if shift else np.minimum(rows + 1, len(u) - 1)
-        moves = np.abs(slope * (v[rows + shift] - v[before])) > near
-        agrees = distance[moves] <= near
+        near = AGREEMENT * extent + SINGLE * np.abs(u).max()
+        # Columns at rest, or clipped, agree by chance.
+        other_row = rows + shift - 1 if shift else np.minimum(rows + 1, len(u) - 1)
+        moves = np.abs(slope * (v[rows + shift] - v[other_row])) > near
+        agrees, is_equal = distance[moves] <= near, distance <= APART * extent
         if len(agrees) < min(MIN_ROWS, len(rows)) or agrees.mean() <= 0.5:
             return None
-        return Repeat(column, other, int(shift), rows, distance <= APART * extent)
+        if not is_equal.all() and not (shift and _breaks_off(is_equal, shift)):
+            return None
+        return Repeat(column, other, int(shift), rows, is_equal)
+
+
+def _breaks_off(is_equal: Mask, shift: int) -> bool:
+    """Tell whether rows differ as they do at the ends of recordings.
+
+    There, as many rows differ as the shift has, and all rows agree between the ends.
+    Where values agree by chance, since they are rounded, others differ all over.
+    """
+    n_breaks = np.count_nonzero(is_equal[:-1] & ~is_equal[1:]) + (not is_equal[0])
+    n_equal = np.count_nonzero(is_equal)
+    n_differing = len(is_equal) - n_equal
+    is_whole = 0.8 <= n_differing / (shift * n_breaks) <= 1.25
+    return bool(is_whole and n_equal > n_breaks * max(MIN_ROWS, shift))
 
 
 def find_contradiction(outputs: Array, states: Array, clock: Indices) -> Repeat | None:
@@ -205,12 +225,9 @@ def find_contradiction(outputs: Array, states: Array, clock: Indices) -> Repeat 
     columns.drop({repeat.column for repeat in columns.repeats_of_all(0)})
     if any(columns.repeats_of_all(1)):
         return None
-    for repeat in columns.repeats(np.array([1])):
-        # One row at the end of each recording differs. Many in a row were changed.
-        differs = ~repeat.is_equal
-        n_alone = (differs & ~np.roll(differs, 1) & ~np.roll(differs, -1)).sum()
-        if 2 * n_alone > differs.sum():
-            return repeat
+    found = list(columns.repeats(np.array([1])))
+    if found:
+        return None if any(repeat.is_equal.all() for repeat in found) else found[0]
     for repeat in columns.repeats(np.arange(2, columns.longest)):
         if not _is_quarter_turn(states[:, repeat.other], repeat.shift - 1):
             return repeat
