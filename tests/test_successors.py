@@ -221,10 +221,10 @@ def test_labels_of_several_recordings_are_refused(swings, kind):
     message = "has the label 0 in rows 0 and 61"
     if kind == "names":
         joined = joined.set_axis(np.repeat(["s1", "s2"], 61))
-        message = r"holds 2 recordings"
+        message = "holds 2 recordings"
     if kind == "levels":
         joined = pd.concat([one, two], keys=["a", "b"], names=["trial", "frame"])
-        message = r"holds 2 recordings \(levels \['trial', 'frame'\]\)"
+        message = "holds 2 recordings"
     remedy = "trajectory_pairs as a list of data frames.*=pairs.sample_index"
     with pytest.raises(ValueError, match=f"{message}.*{remedy}"):
         KernelEDMD(n_modes=0).fit(joined)

@@ -217,17 +217,19 @@ def find_contradiction(outputs: Array, states: Array, clock: Indices) -> Repeat 
     -------
     repeat : Repeat or None
         Outputs of most rows that are states of a row `shift` later. If `shift` is 1,
-        not all of them are. None if an output is the state of the next row throughout,
-        or if nothing is found.
+        not all of them are. None if nothing is found. Outputs that are states of a row
+        2 or more later are no contradiction if one is that of the next row throughout.
     """
     columns = Columns(outputs, states, clock)
     # Outputs that are the state of their own row tell nothing of successors.
     columns.drop({repeat.column for repeat in columns.repeats_of_all(0)})
-    if any(columns.repeats_of_all(1)):
-        return None
-    found = list(columns.repeats(np.array([1])))
-    if found:
-        return None if any(repeat.is_equal.all() for repeat in found) else found[0]
+    next_rows = list(columns.repeats(np.array([1])))
+    whole = {r.column for r in next_rows if r.is_equal.all()}
+    whole |= {repeat.column for repeat in columns.repeats_of_all(1)}
+    # One column may go on across a break by chance; another one shows the break.
+    found = next((r for r in next_rows if r.column not in whole), None)
+    if found is not None or whole:
+        return found
     for repeat in columns.repeats(np.arange(2, columns.longest)):
         if not _is_quarter_turn(states[:, repeat.other], repeat.shift - 1):
             return repeat

@@ -9,8 +9,10 @@ from ._typing import Indices
 
 REMEDY = (
     "Give recordings to trajectory_pairs as a list of data frames, and fit to its "
-    "frames; or fit with sample_index=pairs.sample_index. Only if every row is one "
-    "step after the row before it, fit with sample_index=range(len(X))."
+    "frames; or fit with sample_index=pairs.sample_index. Where cross-validation "
+    "leaves out blocks of one recording, give it sample_index=np.arange(n) of all n "
+    "rows. Only if every row is one step after the row before it, fit with "
+    "sample_index=range(len(X))."
 )
 
 
@@ -40,7 +42,7 @@ def order_of_labels(*data: Any) -> Indices | None:
         return None
     n_recordings = count_recordings(index)
     if n_recordings > 1:
-        _refuse(f"holds {n_recordings} recordings (levels {list(index.names)})")
+        _refuse(f"holds {n_recordings} recordings")
     labels = read_labels(index, "the rows")
     if labels is None:
         return None

@@ -272,9 +272,10 @@ def _refuse_holes(clocks: list[Clock]) -> None:
             before, after = clock.labels[[first, first + 1]]
             raise ValueError(
                 f"the index of trajectory {number} has a hole in {is_hole.sum()} "
-                f"places, first from {before:g} to {after:g}; pass gaps='split', fill "
-                "it by reindexing and kinematics.fill_gaps, or drop an index that does "
-                "not count frames or seconds by reset_index(drop=True)."
+                f"places, first from {before:.12g} to {after:.12g}; pass "
+                "gaps='split', fill it by reindexing and kinematics.fill_gaps, or drop "
+                "an index that does not count frames or seconds by "
+                "reset_index(drop=True)."
             )
 
 
