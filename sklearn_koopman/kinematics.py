@@ -56,8 +56,8 @@ def fill_gaps(recording: Any, *, max_gap: int) -> tuple[Any, Indices]:
     ValueError
         If the recording is empty or has another shape, as a list of several
         recordings has; if it holds infinity or what is no number; if the index of a
-        DataFrame jumps; if the markers of a dict differ in their number of frames; if
-        `max_gap` is no positive integer.
+        DataFrame jumps, repeats or lacks labels; if the markers of a dict differ in
+        their number of frames; if `max_gap` is no positive integer.
 
     See Also
     --------

@@ -51,10 +51,11 @@ def trajectory_pairs(
     ----------
     trajectories : array-like of shape (n_samples, n_features), or list of them
         One trajectory, or several of any lengths. NaN and masked values are gaps. The
-        index of a DataFrame is its clock: whole numbers are frames, floats, timedeltas
-        and datetimes are time stamps in seconds, anything else is not used. A step of
-        the index longer than usual is a gap: in frames, longer than the smallest step;
-        in seconds, than 1.5 usual steps. Time stamps may jitter by a quarter of a step.
+        index of a DataFrame is its clock: whole numbers and periods are frames, floats,
+        timedeltas and datetimes are time stamps in seconds, anything else is not used.
+        A step of the index longer than usual is a gap: in frames, longer than the
+        smallest step; in seconds, than 1.5 usual steps. Time stamps may jitter by a
+        quarter of a step.
     outputs : array-like of shape (n_samples,) or (n_samples, n_outputs), or list \
 of them, default=None
         The quantities to predict, sampled together with the states: one array for each
@@ -136,8 +137,9 @@ of them, default=None
         If a trajectory is too short for one pair, holds gaps (unless they split it) or
         infinity, has three axes, or differs from the others in its columns or rate; if
         outputs and trajectories differ in number, length or index; if an index does not
-        increase, or its time stamps are irregular; if `outputs_in_state` is set without
-        `outputs`; if a parameter is outside its range.
+        increase, lacks labels or repeats them, its time stamps are irregular, or its
+        whole numbers are milliseconds; if `outputs_in_state` is set without `outputs`;
+        if a parameter is outside its range.
 
     Warns
     -----
@@ -544,10 +546,14 @@ class TrajectoryKFold(BaseCrossValidator):
     :func:`trajectory_pairs`), every fold leaves out whole trajectories, and the folds
     have about equal numbers of samples. Without `groups`, the level "trial" of the
     index of X, else of y, takes their place, as it stands in the DataFrames of
-    :func:`trajectory_pairs`. Where there is no such level, or one trial only, the rows
-    are taken as one trajectory in the order of time: every fold leaves out one
-    contiguous block, and `gap` rows on both sides of the block are neither in its
-    training nor its test set.
+    :func:`trajectory_pairs`, with all levels that :func:`pandas.concat` puts before
+    it. Where there is no such level, or one trial only, the rows are taken as one
+    trajectory in the order of time: every fold leaves out one contiguous block, and
+    `gap` rows on both sides of the block are neither in its training nor its test set.
+
+    A :class:`KernelEDMD` does not see in arrays that a block is missing from its
+    training rows. Pass ``sample_index=np.arange(n_samples)`` to its fit, which
+    cross-validation divides as it divides the rows; DataFrames need nothing.
 
     Parameters
     ----------
@@ -615,7 +621,8 @@ class TrajectoryKFold(BaseCrossValidator):
         ValueError
             If a parameter is outside its range; if there are fewer trajectories, or
             rows, than folds; if `gap` leaves no training rows; if `groups` are missing,
-            but the index shows several trajectories, one after the other.
+            but the index shows several trajectories: whole numbers or times that do
+            not rise, names that repeat, or outer levels.
         """
         # Checked when splitting, so that the constructor only stores.
         check_integer(self.n_splits, "n_splits", 2)

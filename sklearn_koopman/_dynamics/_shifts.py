@@ -13,7 +13,7 @@ AGREEMENT, APART = 1e-6, 1e-3
 SINGLE = np.finfo(np.float32).eps
 # A column with fewer distinct values in the rows that are sampled, such as a contact,
 # may repeat another one by chance.
-N_SAMPLED, MIN_LEVELS = 24, 6
+N_SAMPLED, MIN_LEVELS = 24, 8
 LONGEST_SHIFT = 128
 # So many pairs of columns are searched for a shift, of wide states some columns only.
 MAX_PAIRS = 5_000
@@ -96,11 +96,11 @@ class Columns:
         some = rows[:: max(len(rows) // N_SAMPLED, 1)]
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = (self.states[some + shift] - floor) / extent
-            for column in self.candidates:
+            for column in self.candidates.tolist():
                 u = self.outputs[:, column]
                 line = u[low] + relative * (u[high] - u[low])
                 fits = np.abs(u[some, np.newaxis] - line) <= APART * np.ptp(u)
-                for other in np.flatnonzero(fits.all(axis=0)):
+                for other in np.flatnonzero(fits.all(axis=0)).tolist():
                     ends = low[other], high[other]
                     found = self._compare(column, other, shift, rows, *ends)
                     if found and found.is_equal.all():
