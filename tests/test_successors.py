@@ -277,6 +277,11 @@ def test_blocks_left_out_of_arrays_need_their_numbers():
         with pytest.raises(ValueError, match=r"sample_index=np\.arange\(n\) of all"):
             model.fit(x[:-1][train], x[1:][train])
         model.fit(x[:-1][train], x[1:][train], sample_index=number[train])
+    scores = cross_val_score(
+        KernelEDMD(**LINEAR), x[:-1], x[1:], cv=TrajectoryKFold(4), error_score="raise",
+        params={"sample_index": number},
+    )  # fmt: skip
+    assert scores.min() > 0.99
 
 
 def test_a_sine_is_no_later_cosine():

@@ -15,6 +15,8 @@ SINGLE = np.finfo(np.float32).eps
 # may repeat another one by chance.
 N_SAMPLED, MIN_LEVELS = 24, 8
 LONGEST_SHIFT = 128
+# So many shifts of columns are held at a time: fewer shifts of very wide states.
+MAX_SHIFTED = 200_000
 # So many pairs of columns are searched for a shift, of wide states some columns only.
 MAX_PAIRS = 5_000
 # A column of few values may agree by chance in the rows that are sampled, many a time.
@@ -65,7 +67,8 @@ class Columns:
 
     def __init__(self, outputs: Array, states: Array, clock: Indices) -> None:
         self.outputs, self.states, self.clock = outputs, states, clock
-        self.longest = min(LONGEST_SHIFT, len(clock) // 4)
+        at_most = max(MAX_SHIFTED // states.shape[1], 2)
+        self.longest = min(LONGEST_SHIFT, len(clock) // 4, at_most)
         n_starts = len(clock) - self.longest
         rng = np.random.default_rng(0)  # regular rows may hit the same phases
         self.sample = rng.choice(n_starts, min(N_SAMPLED, n_starts), replace=False)
