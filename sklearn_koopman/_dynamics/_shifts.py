@@ -22,7 +22,7 @@ MAX_PAIRS = 5_000
 # A column of few values may agree by chance in the rows that are sampled, many a time.
 MAX_FAILED = 10
 # Rows that two columns must have in common, at least, to be compared.
-MIN_ROWS = 8
+MIN_ROWS = 10
 
 
 class Repeat(NamedTuple):
