@@ -223,7 +223,9 @@ default=None
     pipelines and searches without a call of `set_fit_request`, which `sample_weight`
     needs. A scaler in front transforms `X_next` only if asked to: ``Pipeline(steps,
     transform_input=["X_next"])``. `sample_index` needs no such care. Data frames of
-    :func:`trajectory_pairs` need neither parameter, nor metadata routing: see `fit`.
+    :func:`trajectory_pairs` need neither parameter, nor metadata routing, if `y` is one
+    of them, or if no scaler turns `X` into an array. Elsewhere pass `sample_index`: see
+    `fit`.
 
     References
     ----------
@@ -338,6 +340,8 @@ default=None
             If a parameter is outside its range; if weights are negative, or all of
             them zero; if `X_next` and `sample_index` contradict each other; if the rows
             contradict their order, where only that tells which rows follow each other;
+            if the index of a data frame repeats, has no label for some row, or is
+            irregular;
             if no row has a successor; if a centre is no row with a successor where
             interpolation needs it; if no solution is found, as with
             ``solver="cholesky"`` and a Gram matrix that is not positive definite; if
@@ -364,12 +368,16 @@ default=None
            `X`, that of `y` serves.
         4. Any other index of `X`, else of `y`: its labels are a clock. Rows follow each
            other if their labels are one usual step apart, so that holes are no steps.
+           The usual step of whole numbers is the smallest.
         5. The order of the rows, which are one trajectory then.
 
         The last two know nothing of steps of several rows, nor the last one of several
-        trajectories and of blocks that were left out. Outputs that are columns of the
-        states, and delayed copies in the states, are compared with them. An error is
-        raised if they disagree. Other rows are trusted.
+        trajectories and of blocks that were left out. So columns of `y`, and delayed
+        copies in the states, are compared with the states of up to 128 rows later. Any
+        scale and offset may lie between them, as behind a scaler. An error is raised if
+        they contradict the order. Other rows are trusted: without `y` and delays
+        nothing tells of a lag or of several trajectories. Then pass `sample_index`, in
+        particular behind a scaler, which drops the index of `X`.
         """
         refuse_masked(X=X, y=y, X_next=X_next, sample_index=sample_index)
         given, given_y = X, y

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from ._utils._recordings import find_wraps, warn_of_wraps
+from ._utils._clocks import HOLE, count_recordings, find_index, find_steps, read_labels
 from ._utils._typing import Array, Indices, Mask
 from ._utils._validation import check_integer, check_number
 from ._utils._warnings import warn
+from ._utils._wraps import find_wraps, warn_of_wraps
 
 __all__ = ["fill_gaps", "leg_angles", "unwrap_angles"]
 
@@ -56,8 +57,8 @@ def fill_gaps(recording: Any, *, max_gap: int) -> tuple[Any, Indices]:
     ValueError
         If the recording is empty or has another shape, as a list of several
         recordings has; if it holds infinity or what is no number; if the index of a
-        DataFrame jumps; if the markers of a dict differ in their number of frames; if
-        `max_gap` is no positive integer.
+        DataFrame jumps, repeats or lacks labels; if the markers of a dict differ in
+        their number of frames; if `max_gap` is no positive integer.
 
     Warns
     -----
@@ -345,18 +346,27 @@ def _check_recording(recording: Any, values: Array, name: str = "recording") -> 
             f"{name} holds infinity in {len(lost)} of {len(values)} frames, first "
             f"in frame {lost[0]}; replace it by NaN if it marks a gap."
         )
-    if not hasattr(recording, "iloc"):
+    index = find_index(recording)
+    labels = None if index is None else read_labels(index, name)
+    if index is not None and count_recordings(index) > 1:
+        raise ValueError(
+            f"the index of {name} holds {count_recordings(index)} recordings; pass "
+            "them one by one, or drop an index that means nothing by "
+            "reset_index(drop=True)."
+        )
+    if labels is None or len(labels) < 2:
         return
-    clock = np.asarray(recording.index.get_level_values(-1))
-    if clock.dtype.kind in "iufmM":
-        steps = np.diff(clock).astype(np.float64)
-        usual = np.sort(steps)[len(steps) // 2 :][:1]
-        for row in np.flatnonzero(np.abs(steps - usual) > 0.5 * np.abs(usual))[:1]:
-            raise ValueError(
-                f"the index of recording goes from {clock[row]} to {clock[row + 1]}, "
-                "which is not the step of most rows; pass one recording, with a row of "
-                "NaN for each missing frame, for instance by recording.reindex."
-            )
+    is_jump = np.diff(labels) <= 0
+    if not is_jump.any():
+        remedy = "interpolate it onto a regular grid"
+        is_jump = find_steps(labels, name, remedy)[0] > HOLE
+    for row in np.flatnonzero(is_jump)[:1]:
+        before, after = index.get_level_values(-1)[[row, row + 1]]
+        raise ValueError(
+            f"the index of {name} goes from {before} to {after}, which is not the "
+            "usual step; pass one recording, with a row of NaN for each missing frame, "
+            "for instance by recording.reindex."
+        )
 
 
 def _like(recording: Any, values: Array) -> Any:
@@ -373,14 +383,13 @@ def _warn_of_wraps(
 ) -> None:
     """Warn of angles that wrap among the columns that have been filled."""
     names = list(getattr(recording, "columns", range(columns.shape[1])))
-    shown: dict[float, list[str]] = {}
+    turns = {}
     for number in np.flatnonzero(is_filled.any(axis=0)):
         is_link = ~(was_lost[1:, number] | was_lost[:-1, number])
         column = columns[:, [number]]
         for turn in find_wraps(column[:-1][is_link], column[1:][is_link]).values():
-            shown.setdefault(turn, []).append(str(names[number]))
-    for turn, wrapping in shown.items():
-        warn_of_wraps("recording", wrapping, turn)
+            turns[str(names[number])] = turn
+    warn_of_wraps({"recording": turns})
 
 
 def _fill_column(column: Array, max_gap: int) -> None:

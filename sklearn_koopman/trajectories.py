@@ -11,8 +11,8 @@ from sklearn import get_config
 from sklearn.model_selection import BaseCrossValidator, GroupKFold, KFold
 from sklearn.utils import Bunch
 
+from ._utils._clocks import count_recordings, find_index, read_labels
 from ._utils._embedding import EMBEDDINGS, check_offsets, embed, embedded_names
-from ._utils._frames import index_level
 from ._utils._recordings import Samples, read_recordings
 from ._utils._rows import distinct_rows
 from ._utils._typing import Array, Indices
@@ -51,10 +51,11 @@ def trajectory_pairs(
     ----------
     trajectories : array-like of shape (n_samples, n_features), or list of them
         One trajectory, or several of any lengths. NaN and masked values are gaps. The
-        index of a DataFrame is its clock: whole numbers are frames, floats, timedeltas
-        and datetimes are time stamps in seconds, anything else is not used. A step of
-        the index longer than usual is a gap: in frames, longer than the smallest step;
-        in seconds, than 1.5 usual steps. Time stamps may jitter by a quarter of a step.
+        index of a DataFrame is its clock: whole numbers and periods are frames, floats,
+        timedeltas and datetimes are time stamps in seconds, anything else is not used.
+        A step of the index longer than usual is a gap: in frames, longer than the
+        smallest step; in seconds, than 1.5 usual steps. Time stamps may jitter by a
+        quarter of a step.
     outputs : array-like of shape (n_samples,) or (n_samples, n_outputs), or list \
 of them, default=None
         The quantities to predict, sampled together with the states: one array for each
@@ -136,8 +137,9 @@ of them, default=None
         If a trajectory is too short for one pair, holds gaps (unless they split it) or
         infinity, has three axes, or differs from the others in its columns or rate; if
         outputs and trajectories differ in number, length or index; if an index does not
-        increase, or its time stamps are irregular; if `outputs_in_state` is set without
-        `outputs`; if a parameter is outside its range.
+        increase, lacks labels or repeats them, its time stamps are irregular, or its
+        whole numbers are milliseconds; if `outputs_in_state` is set without `outputs`;
+        if a parameter is outside its range.
 
     Warns
     -----
@@ -504,28 +506,28 @@ def find_trials(X: Any, y: Any) -> Array | None:
     Returns
     -------
     trials : ndarray of shape (n_samples,), or None
-        The level "trial" of the index. None if there is no such level, or only one
-        trial in it.
+        All levels of the index but "sample_index", as one; without this level, the
+        level "trial" and those before it. None if there are none, or only one trial.
 
     Raises
     ------
     ValueError
         If the index shows several trajectories, but has no such level.
     """
-    trials = index_level("trial", X, y)
-    if trials is not None:
-        return trials if (trials != trials[0]).any() else None
-    indices = (getattr(data, "index", None) for data in (X, y))
-    index = next((i for i in indices if hasattr(i, "get_level_values")), None)
+    index = find_index(X, y)
     if index is None:
         return None
-    if index.nlevels > 1:
-        shows_several = index.droplevel(-1).nunique() > 1
-    else:
-        is_clock = index.dtype.kind in "iufmM"
-        rises = index.is_monotonic_increasing and index.is_unique
-        shows_several = is_clock and not rises
-    if shows_several:
+    names, trials = list(index.names), None
+    if "sample_index" in names and len(names) > 1:
+        trials = index.droplevel("sample_index")
+    elif "trial" in names:
+        trials = index.droplevel([*range(names.index("trial") + 1, len(names))])
+    if trials is not None:
+        groups = trials.factorize()[0] if trials.nlevels > 1 else trials.to_numpy()
+        return groups if trials.nunique(dropna=False) > 1 else None
+    labels = read_labels(index, "X")
+    falls = labels is not None and (np.diff(labels) <= 0).any()
+    if falls or count_recordings(index) > 1:
         raise ValueError(
             "the index restarts or repeats, as it does for several trajectories one "
             "after the other; pass the trajectory of each row as groups=, or drop an "
@@ -545,10 +547,14 @@ class TrajectoryKFold(BaseCrossValidator):
     :func:`trajectory_pairs`), every fold leaves out whole trajectories, and the folds
     have about equal numbers of samples. Without `groups`, the level "trial" of the
     index of X, else of y, takes their place, as it stands in the DataFrames of
-    :func:`trajectory_pairs`. Where there is no such level, or one trial only, the rows
-    are taken as one trajectory in the order of time: every fold leaves out one
-    contiguous block, and `gap` rows on both sides of the block are neither in its
-    training nor its test set.
+    :func:`trajectory_pairs`, with all levels that :func:`pandas.concat` puts before
+    it. Where there is no such level, or one trial only, the rows are taken as one
+    trajectory in the order of time: every fold leaves out one contiguous block, and
+    `gap` rows on both sides of the block are neither in its training nor its test set.
+
+    A :class:`KernelEDMD` does not see in arrays that a block is missing from its
+    training rows. Pass ``sample_index=np.arange(n_samples)`` to its fit, which
+    cross-validation divides as it divides the rows; DataFrames need nothing.
 
     Parameters
     ----------
@@ -616,7 +622,8 @@ class TrajectoryKFold(BaseCrossValidator):
         ValueError
             If a parameter is outside its range; if there are fewer trajectories, or
             rows, than folds; if `gap` leaves no training rows; if `groups` are missing,
-            but the index shows several trajectories, one after the other.
+            but the index shows several trajectories: whole numbers or times that do
+            not rise, names that repeat, or outer levels.
         """
         # Checked when splitting, so that the constructor only stores.
         check_integer(self.n_splits, "n_splits", 2)

@@ -22,11 +22,11 @@ from sklearn_koopman import (
 )
 from sklearn_koopman._utils._embedding import embed
 from sklearn_koopman._utils._frames import index_level
-from sklearn_koopman._utils._recordings import find_wraps
 from sklearn_koopman._utils._validation import refuse_masked
+from sklearn_koopman._utils._wraps import find_wraps
 from sklearn_koopman.datasets import make_pendulum, make_walking
 from sklearn_koopman.diagnostics import calibration_study
-from sklearn_koopman.kinematics import unwrap_angles
+from sklearn_koopman.kinematics import fill_gaps, unwrap_angles
 
 NAMES = ["X", "y", "X_next", "groups", "sample_index", "time", "frame"]
 
@@ -315,6 +315,133 @@ def test_time_stamps_may_jitter_but_not_wander():
     assert_allclose(grid.time, np.arange(1, 6))
 
 
+HOLEY = np.delete(np.arange(30), [10, 11, 20])
+CLOCKS = {
+    "objects": lambda k: pd.Index(list(k), dtype=object),
+    "stamps as objects": lambda k: pd.Index(
+        list(pd.Timestamp("2026-11-29", tz="UTC") + pd.to_timedelta(k / 100, unit="s")),
+        dtype=object,
+    ),
+    # Across the hour that a clock in Berlin shows twice.
+    "time zone": lambda k: (
+        pd.Timestamp("2026-10-25 00:59:59.8", tz="UTC")
+        + pd.to_timedelta(k / 100, unit="s")
+    ).tz_convert("Europe/Berlin"),
+    "periods": lambda k: pd.period_range("2026-11-29", periods=30, freq="s")[k],
+    "nullable": lambda k: pd.Index(pd.array(k, dtype="Int64")),
+    "numbers": lambda k: pd.Index(k),
+    "seconds": lambda k: pd.Index(k / 100),
+}
+
+
+@pytest.mark.parametrize("as_index", CLOCKS.values(), ids=CLOCKS)
+def test_every_reader_sees_the_holes(as_index):
+    x = np.random.default_rng(0).normal(size=(30, 1)).cumsum(axis=0)
+    frame = pd.DataFrame(x[HOLEY], index=as_index(HOLEY))
+    with pytest.raises(ValueError, match="trajectory 0 has a hole in 2 places"):
+        trajectory_pairs(frame)
+    pairs = trajectory_pairs(frame, gaps="split")
+    follows = np.isin(HOLEY + 1, HOLEY)
+    assert_array_equal(pairs.X.to_numpy(), x[HOLEY[follows]])
+    model = KernelEDMD(n_modes=0).fit(frame)
+    assert_array_equal(model.center_indices_, np.flatnonzero(follows))
+    with pytest.raises(ValueError, match=r"recording goes from .* by recording\.rei"):
+        fill_gaps(frame, max_gap=3)
+    whole = pd.DataFrame(x, index=as_index(np.arange(30)))
+    assert len(trajectory_pairs(whole).X) == 29
+    whole.iloc[4] = np.nan
+    assert_array_equal(fill_gaps(whole, max_gap=3)[1], [4])
+    [(_, test), _] = TrajectoryKFold(2).split(frame)
+    assert_array_equal(test, range(14))
+
+
+@pytest.mark.parametrize("missing", [pd.NaT, np.nan])
+def test_a_missing_label_is_named(missing):
+    labels = pd.to_datetime([*range(19), None]) if missing is pd.NaT else None
+    labels = pd.Index([*range(19), np.nan]) if labels is None else labels
+    frame = stamped(labels)
+    for read in (
+        trajectory_pairs,
+        KernelEDMD().fit,
+        lambda x: fill_gaps(x, max_gap=1),
+        lambda x: next(TrajectoryKFold(2).split(x)),
+    ):
+        with pytest.raises(
+            ValueError, match=r"has no label in row 19 \((nan|NaT)\); d"
+        ):
+            read(frame)
+
+
+def test_names_that_repeat_are_recordings():
+    x = counted(30)
+    names = pd.Index(["s1"] * 15 + ["s2"] * 15)
+    for index in (names, pd.CategoricalIndex(names), names.astype(object)):
+        frame = pd.DataFrame(x, index=index)
+        with pytest.raises(
+            ValueError, match=r"0 holds 2 recordings; .*groupby\(level=0"
+        ):
+            trajectory_pairs(frame)
+        with pytest.raises(ValueError, match=r"rows holds 2 recordings.*sample_index="):
+            KernelEDMD().fit(frame)
+        with pytest.raises(
+            ValueError, match=r"holds 2 recordings; pass them one by one"
+        ):
+            fill_gaps(frame, max_gap=1)
+        with pytest.raises(
+            ValueError, match=r"^the index restarts or repeats.*groups="
+        ):
+            next(TrajectoryKFold(2).split(frame))
+        parts = [part for _, part in frame.groupby(level=0, observed=True)]
+        assert_array_equal(np.bincount(trajectory_pairs(parts).groups), [14, 14])
+    one = pd.DataFrame(x, index=["s1"] * 30)
+    assert len(trajectory_pairs(one).X) == 29
+
+
+def test_trials_of_several_calls_are_different():
+    parts = [trajectory_pairs([pd.DataFrame(counted(9, k)) for k in p]) for p in
+             ([0, 1], [2, 3])]  # fmt: skip
+    joined = pd.concat([part.X for part in parts], keys=["a", "b"])
+    folds = list(TrajectoryKFold(4).split(joined))
+    seen = [np.unique(joined.iloc[test, 0] // 1000).tolist() for _, test in folds]
+    assert sorted(seen) == [[0], [1], [2], [3]]
+    # Further levels inside the trial do not divide it.
+    other = joined.set_axis(joined.index.set_names([None, "trial", "frame"]))
+    assert len(list(TrajectoryKFold(4).split(other))) == 4
+
+
+def test_milliseconds_are_told_from_frames():
+    for rate in (120, 150, 240, 400):
+        stamps = np.rint(np.arange(600) * 1000 / rate).astype(int)
+        frame = pd.DataFrame(counted(600), index=stamps)
+        for gaps in ("raise", "split"):
+            with pytest.raises(ValueError, match=r"whole milliseconds.*index / 1000\)"):
+                trajectory_pairs(frame, gaps=gaps)
+        with pytest.raises(ValueError, match=r"recording steps by .*index / 1000\)"):
+            fill_gaps(frame, max_gap=1)
+        pairs = trajectory_pairs(frame.set_axis(frame.index / 1000))
+        assert_array_equal(pairs.y - pairs.X, 1)
+    micro = pd.DataFrame(
+        counted(600), index=np.rint(np.arange(600) * 1e6 / 150).astype(int)
+    )
+    with pytest.raises(ValueError, match=r"by 6666 to 6667, .*microseconds.*1000000\)"):
+        trajectory_pairs(micro)
+
+
+def test_remedies_for_two_indices_and_for_frames_as_floats():
+    x, y = pd.DataFrame(counted(9)), pd.DataFrame(counted(9), index=range(1, 10))
+    with pytest.raises(
+        ValueError, match=r"by outputs.set_axis\(states.index\) if their"
+    ):
+        trajectory_pairs(x, y)
+    assert len(trajectory_pairs(x, y.set_axis(x.index)).X) == 8
+    floats = x.set_axis(np.arange(9.0))
+    message = r"0 100 Hz, but its index, .* has 1 Hz; .*data.index.astype\(int\)"
+    with pytest.raises(ValueError, match=message):
+        trajectory_pairs(floats, rates=100)
+    pairs = trajectory_pairs(floats.set_axis(floats.index.astype(int)), rates=100)
+    assert_allclose(pairs.time, np.arange(8) / 100)
+
+
 def test_an_index_without_order_is_no_clock():
     x = counted(10)
     two = pd.concat([pd.DataFrame(x[:6]), pd.DataFrame(x[:4])])
@@ -322,7 +449,7 @@ def test_an_index_without_order_is_no_clock():
         trajectory_pairs(two)
     with pytest.raises(ValueError, match=r"trajectory 1 does not increase from row 2"):
         trajectory_pairs([pd.DataFrame(x), stamped([0.0, 1, 2, 2, 3])])
-    with pytest.raises(ValueError, match=r"does not increase from row 1"):
+    with pytest.raises(ValueError, match=r"no label in row 2 \(nan\); drop that row"):
         trajectory_pairs(stamped([0.0, 1, np.nan, 3]))
     for labels in (list("abcdefghij"), [True, False] * 5):
         named = pd.DataFrame(x, index=labels)
@@ -597,7 +724,7 @@ def test_angles_that_wrap_warn_once(turn, period, centred, speed):
         current_states(np.column_stack([smooth, angle]))
     # Each column is named with its own turn.
     other = angle * (2 * np.pi / 360 if turn == 360 else 360 / (2 * np.pi))
-    with pytest.warns(UserWarning, match=r"^trajectories\[0\] \(and 1 more"):
+    with pytest.warns(UserWarning, match=r"^trajectories\[0\] jumps .* column x[01]:"):
         trajectory_pairs(np.column_stack([angle, other]))
     # The remedy, for states and outputs.
     unwrapped = unwrap_angles(angle, period=turn)
@@ -941,7 +1068,7 @@ def test_an_index_that_restarts_needs_groups():
         )
     with pytest.raises(ValueError, match=r"^the index restarts"):
         next(TrajectoryKFold(2).split(y, several[0]))
-    for good in (X, X.set_axis(range(5, 45, 2)), X.set_axis(list("ab") * 10)):
+    for good in (X, X.set_axis(range(5, 45, 2)), X.set_axis(["a"] * 20)):
         [(_, test), _] = TrajectoryKFold(2).split(good)
         assert_array_equal(test, range(10))
 

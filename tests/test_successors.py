@@ -4,9 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from sklearn.base import clone
+from sklearn.compose import TransformedTargetRegressor
 from sklearn.model_selection import GridSearchCV, cross_val_score
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
+from sklearn.preprocessing import MinMaxScaler, StandardScaler
 
 from sklearn_koopman import (
     KernelEDMD,
@@ -16,6 +17,7 @@ from sklearn_koopman import (
     make_forecast_scorer,
     trajectory_pairs,
 )
+from sklearn_koopman._dynamics._shifts import find_break, find_contradiction
 from sklearn_koopman.datasets import make_pendulum
 from sklearn_koopman.kinematics import unwrap_angles
 
@@ -133,7 +135,7 @@ def test_ends_of_trials_contradict_the_order(swings, kind):
     found = (
         r"row 59 does not: a recording ends before it"
         if y is None
-        else r"row 58 is no row's state, but row 59 would be taken to follow row 58"
+        else r"row 58 is not that of row 59, but row 59 would be taken to follow row 58"
     )
     for X in (pairs.X, pd.DataFrame(pairs.X)):
         with pytest.raises(ValueError, match=found + ".* every row is one .*=range"):
@@ -173,13 +175,151 @@ def test_explicit_successors_win_over_the_index(swings):
     np.testing.assert_array_equal(model.koopman_matrix_, plain.koopman_matrix_)
 
 
+# Behind a scaler, and other maps of single columns
+
+
+def hertz(f, n=400, phase=0.0):
+    """A motion of f Hz at 100 Hz, which needs no delays."""
+    t = 0.01 * np.arange(n)[:, None]
+    phases = phase + np.array([0.0, np.pi / 2])
+    return np.cos(2 * np.pi * f * t + phases) + 0.2 * np.cos(5.3 * t + 3 * phases)
+
+
+TRIALS = [hertz(1.0, phase=p) * a for p, a in [(0, 1), (1, 1.1), (2, 0.8)]]
+LINEAR = {"trend": "linear", "centers": SeparatedCenterSelector(), "alpha": 1e-3}
+LINEAR |= {"method": "least_squares", "n_modes": 0}
+FINDING = r"row 0 is the state of row 15, but row 1 would"
+
+
+@pytest.mark.parametrize("scaler", [StandardScaler(), MinMaxScaler((2, 5))])
+@pytest.mark.parametrize("delays", [1, 5])
+def test_a_lag_contradicts_behind_a_scaler(scaler, delays):
+    pairs = trajectory_pairs(TRIALS, lag=15, delays=delays, delay_step=3)
+    pipeline = make_pipeline(scaler, KernelEDMD(**LINEAR))
+    mixed = np.column_stack([np.exp(pairs.y[:, 0]), pairs.y])
+    for y in (pairs.y, pairs.y[:, 1], pairs.y[:, ::-1], mixed, 3 - 2 * -pairs.y):
+        with pytest.raises(ValueError, match=FINDING):
+            pipeline.fit(pairs.X, y)
+        with pytest.raises(ValueError, match=FINDING):
+            pipeline.fit(pairs.X.astype(np.float32), y.astype(np.float32))
+    both = TransformedTargetRegressor(pipeline, transformer=StandardScaler())
+    with pytest.raises(ValueError, match=FINDING):
+        both.fit(pairs.X, pairs.y)
+    # Frames whose index both steps have lost.
+    frames = trajectory_pairs([pd.DataFrame(x) for x in TRIALS], lag=15)
+    with pytest.raises(ValueError, match=FINDING):
+        pipeline.fit(frames.X, frames.y.to_numpy())
+    clock = {"kerneledmd__sample_index": pairs.sample_index}
+    pipeline.fit(pairs.X, pairs.y, **clock)
+
+
+def test_the_lag_of_the_clock_gives_the_frequency():
+    """The pairs that are refused: 1 Hz, and not the 1/15 of it that came out."""
+    angles = [2 * np.pi * 0.01 * np.arange(400) + phase for phase in (0, 1, 2)]
+    trials = [np.c_[np.cos(angle), np.sin(angle)] for angle in angles]
+    pairs = trajectory_pairs(trials, lag=15)
+    model = KernelEDMD(**LINEAR | {"n_modes": None})
+    with pytest.raises(ValueError, match=FINDING):
+        make_pipeline(StandardScaler(), model).fit(pairs.X, pairs.y)
+    model.fit(pairs.X, pairs.y, sample_index=pairs.sample_index)
+    frequencies = np.abs(model.continuous_eigenvalues(dt=0.15)[1])
+    assert np.abs(frequencies - 1.0).min() < 1e-3
+
+
+def test_columns_of_states_in_another_order_and_number():
+    trials = [np.c_[x, x[:, 0] * x[:, 1]] for x in TRIALS]
+    pairs = trajectory_pairs(trials, lag=4)
+    for columns in ([0, 2], [1, 0], [2]):
+        with pytest.raises(ValueError, match="row 0 is the state of row 4, but"):
+            KernelEDMD(**LINEAR).fit(pairs.X, pairs.y[:, columns])
+
+
+@pytest.mark.parametrize("kind", ["identical", "periodic", "rounded", "at rest"])
+def test_ends_of_trials_whose_values_repeat(kind):
+    trials = [hertz(1.0, n=130)] * 2
+    if kind == "periodic":
+        angles = np.arange(130) * np.pi / 25 + [[0], [1]]
+        trials = [np.c_[np.cos(angle), np.sin(angle)] for angle in angles]
+    if kind == "rounded":
+        trials = [x.round(2) for x in TRIALS]
+    if kind == "at rest":
+        trials = [np.vstack([x[:1].repeat(60, axis=0), x]) for x in TRIALS]
+    n = len(trials[0]) - 1
+    pairs = trajectory_pairs(trials)
+    pipeline = make_pipeline(StandardScaler(), KernelEDMD(**LINEAR))
+    for model in (pipeline, KernelEDMD(**LINEAR)):
+        with pytest.raises(ValueError, match=f"row {n - 1} is not that of row {n}, b"):
+            model.fit(pairs.X, pairs.y)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+@pytest.mark.parametrize("scaled", [False, True])
+def test_delays_newest_or_oldest_first_show_the_ends(order, scaled):
+    pairs = trajectory_pairs(TRIALS, delays=4, delay_step=2)
+    X = pairs.X.reshape(-1, 4, 2)[:, ::order].reshape(-1, 8)
+    model = KernelEDMD(**LINEAR)
+    if scaled:
+        model = make_pipeline(StandardScaler(), model)
+    with pytest.raises(ValueError, match="row 393 does not: a recording ends"):
+        model.fit(X)
+    model.fit(X[:393])
+
+
+def test_blocks_left_out_of_arrays_need_their_numbers():
+    """Of a motion whose blocks are whole periods in one column."""
+    x = np.c_[hertz(1.0, 601), np.sin(2 * np.pi * 0.01 * np.arange(601))]
+    number = np.arange(600)
+    for train, _ in TrajectoryKFold(4).split(x[:-1]):
+        whole = (np.diff(train) == 1).all()
+        model = KernelEDMD(**LINEAR)
+        if whole:
+            model.fit(x[:-1][train], x[1:][train])
+            continue
+        with pytest.raises(ValueError, match=r"sample_index=np\.arange\(n\) of all"):
+            model.fit(x[:-1][train], x[1:][train])
+        model.fit(x[:-1][train], x[1:][train], sample_index=number[train])
+    scores = cross_val_score(
+        KernelEDMD(**LINEAR), x[:-1], x[1:], cv=TrajectoryKFold(4), error_score="raise",
+        params={"sample_index": number},
+    )  # fmt: skip
+    assert scores.min() > 0.99
+
+
+def test_a_sine_is_no_later_cosine():
+    """A quarter of a period makes one of the other, up to sign."""
+    angle = np.arange(300) * 2 * np.pi / 100
+    cosine = np.cos(angle)[:, None]
+    for y in (np.sin(angle), -np.sin(angle), -np.cos(angle)):
+        for scale in (1.0, 7.0):
+            KernelEDMD(**LINEAR).fit(scale * cosine[:-1], y[1:])
+
+
+@pytest.mark.parametrize("deform", [
+    lambda x: x.round(1), lambda x: np.clip(x, -0.5, 0.7), np.float32, np.sign,
+    lambda x: np.vstack([x, x[-1:].repeat(200, axis=0)]), lambda x: 1000 + x,
+    lambda x: np.c_[x, np.arange(len(x))], lambda x: np.c_[x > 0, x[:, 0]],
+])  # fmt: skip
+def test_deformed_single_trials_are_trusted(deform):
+    """By the order, as by the numbers of the rows."""
+    model = KernelEDMD(**LINEAR | {"centers": None, "kernel": "gaussian"})
+    for f in (1.0, 1.37):
+        x = np.asarray(deform(hertz(f, 150)), dtype=float)
+        pairs = trajectory_pairs(x, delays=2)
+        for y in (pairs.y, pairs.y[:, 0] ** 2, np.float32(pairs.y)):
+            for X in (pairs.X, StandardScaler().fit_transform(pairs.X)):
+                find = find_contradiction(y.reshape(len(X), -1), X, np.arange(len(X)))
+                assert find is None
+                assert find_break(X) is None
+    model.fit(pairs.X, pairs.y)
+
+
 # Labels as a clock
 
 
 LABELS = {
     "frames": (lambda k: 3 * k + 7, True),
     "seconds": (lambda k: 0.01 * k, True),
-    "milliseconds, rounded": (lambda k: np.rint(1000 / 30 * k).astype(int), True),
+    "seconds, rounded": (lambda k: np.round(k / 400, 3), True),
     "dates": (lambda k: pd.to_datetime(10 * k, unit="ms", utc=True), True),
     "durations": (lambda k: pd.to_timedelta(10 * k, unit="ms"), True),
     "names": (lambda k: [f"frame {i}" for i in k], False),
@@ -205,6 +345,39 @@ def test_holes_in_the_labels_are_no_steps(label, tell, of):
         np.testing.assert_array_equal(shuffled, expected[order])
 
 
+@pytest.mark.parametrize("fraction", [0.05, 0.1, 0.5])
+def test_steps_of_a_sample_are_not_the_usual_one(fraction):
+    """Of rows drawn at random, only those that were neighbours follow each other."""
+    x = pd.DataFrame(np.cumsum(np.random.default_rng(0).normal(size=(3000, 2)), axis=0))
+    few = x.sample(frac=fraction, random_state=1)
+    model = KernelEDMD(n_modes=0, alpha=1e-3).fit(few)
+    follows = np.isin(few.index + 1, few.index)
+    assert 0 < follows.sum() < len(few) - 1
+    np.testing.assert_array_equal(links(model, len(few)), follows)
+
+
+def test_whole_milliseconds_are_no_frames():
+    x = pd.DataFrame(make_pendulum(79).trajectories[0])
+    stamped = x.set_axis(np.rint(np.arange(80) * 1000 / 150).astype(int))
+    message = r"the rows steps by 6 to 7, .*whole milliseconds .*index / 1000\)"
+    with pytest.raises(ValueError, match=message):
+        KernelEDMD(n_modes=0).fit(stamped)
+    model = KernelEDMD(n_modes=0).fit(stamped.set_axis(stamped.index / 1000))
+    assert links(model, 80).sum() == 79
+
+
+def test_irregular_stamps_and_missing_labels_are_refused():
+    x = pd.DataFrame(make_pendulum(39).trajectories[0])
+    stamps = np.cumsum(np.random.default_rng(0).uniform(0.5, 1.5, 40))
+    with pytest.raises(ValueError, match=r"rows are irregular.*resample=.*sample_i"):
+        KernelEDMD().fit(x.set_axis(stamps))
+    for labels in ([np.nan, *range(39)], pd.to_datetime([None, *range(39)])):
+        with pytest.raises(
+            ValueError, match=r"rows has no label in row 0 \((nan|NaT)\)"
+        ):
+            KernelEDMD().fit(x.set_axis(pd.Index(labels)))
+
+
 def test_a_block_left_out_is_a_hole():
     x = make_pendulum(100).trajectories[0]
     X, y = pd.DataFrame(x[:-1]), pd.DataFrame(x[1:])
@@ -215,17 +388,17 @@ def test_a_block_left_out_is_a_hole():
         )
 
 
-@pytest.mark.parametrize("kind", ["repeated", "missing", "levels"])
+@pytest.mark.parametrize("kind", ["repeated", "names", "levels"])
 def test_labels_of_several_recordings_are_refused(swings, kind):
     one, two = (pd.DataFrame(x) for x in swings[:2])
     joined = pd.concat([one, two])
-    message = "has the labels 0 and 0 in rows 0 and 61"
-    if kind == "missing":
-        joined = one.set_axis([np.nan, np.nan, *np.arange(59.0)])
-        message = "has the labels 58.0 and nan in rows 60 and 0"
+    message = "has the label 0 in rows 0 and 61"
+    if kind == "names":
+        joined = joined.set_axis(np.repeat(["s1", "s2"], 61))
+        message = "holds 2 recordings"
     if kind == "levels":
         joined = pd.concat([one, two], keys=["a", "b"], names=["trial", "frame"])
-        message = r"has the levels \['trial', 'frame'\], but not 'sample_index'"
+        message = "holds 2 recordings"
     remedy = "trajectory_pairs as a list of data frames.*=pairs.sample_index"
     with pytest.raises(ValueError, match=f"{message}.*{remedy}"):
         KernelEDMD(n_modes=0).fit(joined)

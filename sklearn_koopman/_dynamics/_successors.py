@@ -6,17 +6,12 @@ import numpy as np
 from sklearn.utils import check_array
 
 from .._utils._labels import REMEDY, order_of_labels
-from .._utils._recordings import find_wraps, warn_of_wraps
-from .._utils._typing import Array, Indices, Mask
+from .._utils._typing import Array, Indices
 from .._utils._validation import check_columns, check_magnitude
 from .._utils._warnings import warn
-from ..trajectories import match_successors, successor_rows
-
-# Values agree that differ by at most this part of the largest one, since some of them
-# may have been rounded to single precision.
-AGREEMENT = 1e-6
-# So many outputs are looked up among the states before all of them are.
-SAMPLE = 64
+from .._utils._wraps import find_wraps, warn_of_wraps
+from ..trajectories import successor_rows
+from ._shifts import find_break, find_contradiction
 
 
 def check_successors(X: Any, X_next: Any) -> Array:
@@ -124,86 +119,40 @@ def _follow_order(X: Array, given: Any, y: Any) -> tuple[Indices, Indices]:
     if clock is None:
         clock = np.arange(len(X))
     links = successor_rows(clock)
-    if len(links[0]) and y is not None:
-        _check_outputs(X, given, y, links)
-    if (np.diff(clock) == 1).all():
-        _check_delays(X)
-    _warn_of_wraps(X, given, links)
+    if len(links[0]):
+        _check_order(X, y, clock)
+    names = [str(name) for name in getattr(given, "columns", range(X.shape[1]))]
+    turns = find_wraps(X[links[0]], X[links[1]])
+    warn_of_wraps({"X": {names[column]: turn for column, turn in turns.items()}})
     return links
 
 
-def _check_outputs(
-    X: Array, given: Any, y: Any, links: tuple[Indices, Indices]
-) -> None:
-    """Refuse links if the outputs are columns of the states, but of other rows."""
-    outputs = np.asarray(y, dtype=np.float64).reshape(len(X), -1)
-    starts = range(X.shape[1] - outputs.shape[1] + 1)
-    if any(_agree(outputs, X, links, start).all() for start in starts):
-        return
-    matched = match_successors(given, y) if _may_match(outputs, X) else None
-    # Outputs that are the state of their own row tell nothing of successors.
-    if matched is None or np.mean(matched[0] == matched[1]) > 0.5:
-        return
-    start = max(starts, key=lambda start: _agree(outputs, X, matched, start).sum())
-    first = np.flatnonzero(~_agree(outputs, X, links, start))[0]
-    row, following = links[0][first], links[1][first]
-    where = matched[1][matched[0] == row]
-    finding = f"the state of row {where[0]}" if len(where) else "no row's state"
-    raise ValueError(
-        f"y of most rows is the state of a row. That of row {row} is {finding}, but "
-        f"row {following} would be taken to follow row {row}. {REMEDY}"
-    )
-
-
-def _check_delays(X: Array) -> None:
-    """Refuse rows in which the delayed copies of a state belong to other rows."""
-    earlier = X[:, 1:]
-    if X.shape[1] == 1 or not _may_match(X[:, :1], earlier):
-        return
-    matched = match_successors(earlier, X[:, 0])
-    if matched is None:
-        return
-    shift = int(np.median(matched[1] - matched[0]))
-    if shift < 1 or np.mean(matched[1] - matched[0] == shift) < 0.5:
-        return
-    links = np.arange(len(X) - shift), np.arange(shift, len(X))
-    agree = [_agree(X[:, :1], earlier, links, k) for k in range(earlier.shape[1])]
-    best = max(agree, key=np.sum)
-    if best.all():
-        return
-    row = int(np.flatnonzero(~best)[0])
-    raise ValueError(
-        f"Most rows hold copies of what the row {shift} before them holds, but row "
-        f"{row + shift} does not: a recording ends before it. {REMEDY}"
-    )
-
-
-def _warn_of_wraps(X: Array, given: Any, links: tuple[Indices, Indices]) -> None:
-    """Warn of angles that wrap, as trajectory_pairs does, which has not seen these."""
-    turns = find_wraps(X[links[0]], X[links[1]])
-    names = list(getattr(given, "columns", range(X.shape[1])))
-    for turn in {*turns.values()}:
-        shown = [str(names[column]) for column in turns if turns[column] == turn]
-        warn_of_wraps("X", shown, turn)
-
-
-def _agree(
-    outputs: Array, X: Array, links: tuple[Indices, Indices], start: int
-) -> Mask:
-    """Tell which outputs are the values in some columns of the row that is linked."""
-    columns = X[links[1], start : start + outputs.shape[1]]
-    tolerance = AGREEMENT * np.abs(outputs).max(axis=0)
-    agree: Mask = (np.abs(outputs[links[0]] - columns) <= tolerance).all(axis=1)
-    return agree
-
-
-def _may_match(outputs: Array, X: Array) -> bool:
-    """Tell whether a sample of the outputs occurs in some column of the states."""
-    sample = np.unique(outputs[:: max(len(outputs) // SAMPLE, 1), 0])
-    tolerance = AGREEMENT * np.abs(sample).max()
-    below = np.searchsorted(sample - tolerance, X, side="right")
-    occurs = below > np.searchsorted(sample + tolerance, X, side="left")
-    return bool((occurs.sum(axis=0) >= len(sample) / 4).any())
+def _check_order(X: Array, y: Any, clock: Indices) -> None:
+    """Refuse an order of the rows that outputs or delayed copies contradict."""
+    order = np.argsort(clock)
+    clock = clock[order]
+    states = X[order]
+    if y is not None:
+        outputs = np.asarray(y, dtype=np.float64).reshape(len(X), -1)[order]
+        found = find_contradiction(outputs, states, clock)
+        if found is not None:
+            k = found.rows[np.argmax(found.is_equal == (found.shift > 1))]
+            row, after, true = order[[k, k + 1, k + found.shift]]
+            finding = f"another row; that of row {row} is the state of row {true}"
+            if found.shift == 1:
+                finding = f"the next row; that of row {row} is not that of row {after}"
+            raise ValueError(
+                f"y of most rows is the state of {finding}, but row {after} would be "
+                f"taken to follow row {row}. {REMEDY}"
+            )
+    if (np.diff(clock) == 1).all():
+        found = find_break(states)
+        if found is not None:
+            row = order[found.rows[np.argmin(found.is_equal)] + found.shift]
+            raise ValueError(
+                f"Most rows hold copies of what the row {found.shift} before them "
+                f"holds, but row {row} does not: a recording ends before it. {REMEDY}"
+            )
 
 
 def _is_on_another_scale(X: Array, X_next: Array) -> bool:

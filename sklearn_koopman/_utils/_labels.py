@@ -4,22 +4,22 @@ from typing import Any
 
 import numpy as np
 
+from ._clocks import HOLE, count_recordings, find_index, find_steps, read_labels
 from ._typing import Indices
 
-# Labels this far into the sorted steps between them tell the usual step. Most steps are
-# equal, or nearly so in the case of times; those across holes are longer.
-USUAL = 0.1
 REMEDY = (
     "Give recordings to trajectory_pairs as a list of data frames, and fit to its "
-    "frames; or fit with sample_index=pairs.sample_index. Only if every row is one "
-    "step after the row before it, fit with sample_index=range(len(X))."
+    "frames; or fit with sample_index=pairs.sample_index. Where cross-validation "
+    "leaves out blocks of one recording, give it sample_index=np.arange(n) of all n "
+    "rows. Only if every row is one step after the row before it, fit with "
+    "sample_index=range(len(X))."
 )
 
 
 def order_of_labels(*data: Any) -> Indices | None:
     """Return the place of each row on the clock that labels are.
 
-    Two rows follow each other if their labels are about one usual step apart.
+    Two rows follow each other if their labels are one usual step apart.
 
     Parameters
     ----------
@@ -35,31 +35,31 @@ def order_of_labels(*data: Any) -> Indices | None:
     Raises
     ------
     ValueError
-        If labels repeat or are missing, or if they have several levels.
+        If labels repeat, are missing or irregular, or tell several recordings apart.
     """
-    for frame in data:
-        index: Any = getattr(frame, "index", None)
-        if not hasattr(index, "nlevels"):
-            continue  # a list has a method of this name
-        if index.nlevels > 1:
-            _refuse(f"has the levels {list(index.names)}, but not 'sample_index'")
-        # Dates are numbers, whatever their time zone.
-        labels = np.asarray(index.asi8 if hasattr(index, "asi8") else index)
-        if labels.dtype.kind not in "iuf":
-            return None
-        order = np.argsort(labels, kind="stable")
-        steps = np.diff(labels[order].astype(np.float64))
-        broken = np.flatnonzero(~(steps > 0))
-        if len(broken):
-            i, j = order[broken[0] : broken[0] + 2]
-            _refuse(f"has the labels {labels[i]} and {labels[j]} in rows {i} and {j}")
-        if len(steps) == 0:
-            return np.zeros(len(labels), dtype=np.intp)
-        follows = np.rint(steps / np.quantile(steps, USUAL, method="lower")) == 1
-        clock = np.zeros(len(labels), dtype=np.intp)
-        clock[order[1:]] = np.cumsum(np.where(follows, 1, 2))
+    index = find_index(*data)
+    if index is None:
+        return None
+    n_recordings = count_recordings(index)
+    if n_recordings > 1:
+        _refuse(f"holds {n_recordings} recordings")
+    labels = read_labels(index, "the rows")
+    if labels is None:
+        return None
+    clock = np.zeros(len(labels), dtype=np.intp)
+    if len(labels) < 2:
         return clock
-    return None
+    order = np.argsort(labels, kind="stable")
+    repeated = np.flatnonzero(np.diff(labels[order]) == 0)
+    if len(repeated):
+        i, j = order[repeated[0] : repeated[0] + 2]
+        _refuse(f"has the label {index[i]} in rows {i} and {j}")
+    remedy = (
+        "interpolate by trajectory_pairs(..., resample=), or pass sample_index instead"
+    )
+    steps, _ = find_steps(labels[order], "the rows", remedy)
+    clock[order[1:]] = np.cumsum(np.where(steps <= HOLE, 1, 2))
+    return clock
 
 
 def _refuse(finding: str) -> None:

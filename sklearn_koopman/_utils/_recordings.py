@@ -9,14 +9,10 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from sklearn.utils import check_array
 
-from ._clocks import HOLE, Clock, find_clocks, read_labels, resolve_rates
+from ._clocks import HOLE, Clock, find_clocks, read_together, resolve_rates
 from ._typing import Array, Indices, Mask
 from ._validation import check_choice, check_columns, check_number
-from ._warnings import warn
-
-TURNS = (360.0, 2 * np.pi)
-# Angles that wrap have glitches in no more than this part of their steps.
-MAX_STRANGE = 0.1
+from ._wraps import find_wraps, warn_of_wraps
 
 
 class Samples(NamedTuple):
@@ -155,55 +151,69 @@ def read_recordings(
         check_number(resample, "resample", positive=True)
     items = _as_list(trajectories, name)
     states = _as_arrays(items, name, gaps)
+    names = output_names = _column_names(items, states[0], "x")
     targets, measured = items, states
     if outputs is not None:
         targets = _as_list(outputs, "outputs")
         measured = _as_arrays(targets, "outputs", gaps)
-    if len(states) != len(measured):
+        output_names = _column_names(targets, measured[0], "y")
+    lengths = _check_lengths(states, measured)
+    labels = [
+        read_together(item, target, number)
+        for number, (item, target) in enumerate(zip(items, targets, strict=True))
+    ]
+    clocks = find_clocks(labels, lengths, resample)
+    if gaps == "raise":
+        _refuse_holes(clocks)
+    rates = resolve_rates(rates, clocks, resample)
+    recordings = [
+        _divide(*each) for each in zip(states, measured, clocks, rates, strict=True)
+    ]
+    wraps = _wraps_in(recordings, "states", name, names)
+    if outputs is not None:
+        wraps |= _wraps_in(recordings, "outputs", "outputs", output_names)
+    warn_of_wraps(wraps)
+    is_pandas = any(hasattr(item, "iloc") for item in items)
+    return Recordings(recordings, names, output_names, is_pandas)
+
+
+def _check_lengths(states: list[Array], outputs: list[Array]) -> list[int]:
+    """Return the lengths of the recordings, which are those of their outputs."""
+    if len(states) != len(outputs):
         raise ValueError(
-            f"outputs holds {len(measured)} arrays for {len(states)} trajectories; "
+            f"outputs holds {len(outputs)} arrays for {len(states)} trajectories; "
             "pass one array of outputs for every trajectory."
         )
-    labels = []
-    for number, (x, y) in enumerate(zip(states, measured, strict=True)):
+    for number, (x, y) in enumerate(zip(states, outputs, strict=True)):
         if len(x) != len(y):
             raise ValueError(
                 f"trajectory {number} has {len(x)} samples but its outputs have "
                 f"{len(y)}; states and outputs must be sampled together."
             )
-        labels.append(read_labels(items[number], targets[number], number))
-    clocks = find_clocks(labels, states, resample)
-    known = resolve_rates(rates, clocks, resample)
+    return [len(x) for x in states]
 
-    names = _column_names(items, states[0], "x")
-    output_names = names
-    if outputs is not None:
-        output_names = _column_names(targets, measured[0], "y")
-    recordings = []
-    wraps: list[tuple[str, list[str], float]] = []
-    for number, (x, y) in enumerate(zip(states, measured, strict=True)):
-        is_hole = clocks[number].steps > HOLE
-        if gaps == "raise":
-            _refuse_holes(clocks[number], is_hole, number)
-        columns = y.reshape(len(y), -1)
-        is_there = _complete(x) & _complete(columns)
-        is_link = is_there[1:] & is_there[:-1] & ~is_hole
-        sources = [(name, names, x)]
-        if outputs is not None:
-            sources.append(("outputs", output_names, columns))
-        for source, own_names, values in sources:
-            turns = find_wraps(values[:-1][is_link], values[1:][is_link])
-            for turn in {*turns.values()}:
-                shown = [own_names[column] for column in turns if turns[column] == turn]
-                wraps.append((f"{source}[{number}]", shown, turn))
-        samples = _samples(x, y, clocks[number], known[number])
-        recordings.append(Recording(samples, _pieces(is_there, is_link)))
-    if wraps:
-        subject, shown, turn = wraps[0]
-        others = f" (and {len(wraps) - 1} more arrays)" if len(wraps) > 1 else ""
-        warn_of_wraps(f"{subject}{others}", shown, turn)
-    is_pandas = any(hasattr(item, "iloc") for item in items)
-    return Recordings(recordings, names, output_names, is_pandas)
+
+def _divide(x: Array, y: Array, clock: Clock, rate: float | None) -> Recording:
+    """Number and time the samples of a recording, and find the pieces between gaps."""
+    is_there = _complete(x) & _complete(y.reshape(len(y), -1))
+    is_link = is_there[1:] & is_there[:-1] & (clock.steps <= HOLE)
+    return Recording(_samples(x, y, clock, rate), _pieces(is_there, is_link))
+
+
+def _wraps_in(
+    recordings: list[Recording], kind: str, label: str, names: list[str]
+) -> dict[str, dict[str, float]]:
+    """Find angles that wrap in the states or outputs, but not across gaps."""
+    wraps = {}
+    for number, (samples, pieces) in enumerate(recordings):
+        values = getattr(samples, kind).reshape(len(samples.time), -1)
+        is_start = np.zeros(len(values), dtype=bool)
+        for piece in pieces:
+            is_start[piece.start : piece.stop - 1] = True
+        starts = np.flatnonzero(is_start)
+        turns = find_wraps(values[starts], values[starts + 1])
+        wraps[f"{label}[{number}]"] = {names[c]: turn for c, turn in turns.items()}
+    return wraps
 
 
 def _as_list(data: Any, name: str) -> list[Any]:
@@ -253,83 +263,20 @@ def _column_names(items: list[Any], first: Array, prefix: str) -> list[str]:
     return [f"{prefix}{column}" for column in range(n_columns)]
 
 
-def find_wraps(rows: Array, following: Array) -> dict[int, float]:
-    """Find the columns that hold angles which wrap.
-
-    Such a column lies within one turn and steps now and then by nearly a turn. Counted
-    around the circle, these steps are about as small as the others, which distinguishes
-    them from the jumps of a switch or of a sawtooth. A few steps may be neither, as
-    those into and out of a glitch; noise has many of them.
-
-    Parameters
-    ----------
-    rows : ndarray of shape (n_links, n_columns)
-        Samples.
-    following : ndarray of shape (n_links, n_columns)
-        The next sample after each of them.
-
-    Returns
-    -------
-    turns : dict of int to float
-        The full turn, 360 or 2 pi, of each column that wraps.
-    """
-    turns: dict[int, float] = {}
-    largest = np.abs(following - rows).max(axis=0, initial=0.0)
-    for column in np.flatnonzero(largest >= 0.75 * min(TURNS)).tolist():
-        for turn in TURNS:
-            if _wraps(rows[:, column], following[:, column], turn):
-                turns[column] = turn
-    return turns
-
-
-def _wraps(values: Array, following: Array, turn: float) -> bool:
-    """Tell whether one column holds angles that wrap at this turn."""
-    size = np.abs(following - values)
-    around = np.abs(size - turn)  # the size of a wrap as a motion
-    is_small = size <= 0.25 * turn
-    if not is_small.any():
-        return False
-    usual = np.sort(size[is_small])
-    # The largest ones may be those into and out of a small glitch or two.
-    large = usual[-1 - min(len(usual) // 100, 4)]
-    is_wrap = around <= min(2 * large, 0.25 * turn)
-    if not is_wrap.any():
-        return False
-    ordered = np.sort(np.concatenate([values, following]))
-    # Rounded angles may leave the turn a little.
-    n_inside = np.searchsorted(ordered, ordered + 1.01 * turn, side="right")
-    n_outside = len(ordered) - (n_inside - np.arange(len(ordered))).max()
-    n_strange = max(n_outside / 2, np.count_nonzero(~(is_small | is_wrap)))
-    if n_strange == 0:
-        return True
-    is_rare = n_strange <= min(np.count_nonzero(is_wrap), MAX_STRANGE * len(size))
-    # The jumps of a noisy switch differ from a turn by more than its noise, while an
-    # angle that swings is at most sqrt(2) times as fast as in the mean square.
-    is_usual = np.median(around[is_wrap]) <= 1.5 * np.sqrt(np.mean(usual**2))
-    return bool(is_rare and is_usual)
-
-
-def warn_of_wraps(subject: str, columns: list[str], turn: float) -> None:
-    """Warn of angles that wrap in some columns, and how to mend them."""
-    period = "360" if turn == 360 else "2 * np.pi"
-    warn(
-        f"{subject} jumps by almost a full turn in column {', '.join(columns)}: these "
-        "angles wrap, and the jumps are no motion. Unwrap them by "
-        f"kinematics.unwrap_angles(..., period={period}), before gaps are filled."
-    )
-
-
-def _refuse_holes(clock: Clock, is_hole: Mask, number: int) -> None:
-    """Refuse an index that leaves out samples."""
-    if is_hole.any():
-        first = int(is_hole.argmax())
-        before, after = clock.labels[[first, first + 1]]
-        raise ValueError(
-            f"the index of trajectory {number} has a hole in {is_hole.sum()} places, "
-            f"first from {before:g} to {after:g}; pass gaps='split', fill it by "
-            "reindexing and kinematics.fill_gaps, or drop an index that does not count "
-            "frames or seconds by reset_index(drop=True)."
-        )
+def _refuse_holes(clocks: list[Clock]) -> None:
+    """Refuse indices that leave out samples."""
+    for number, clock in enumerate(clocks):
+        is_hole = clock.steps > HOLE
+        if is_hole.any():
+            first = int(is_hole.argmax())
+            before, after = clock.labels[[first, first + 1]]
+            raise ValueError(
+                f"the index of trajectory {number} has a hole in {is_hole.sum()} "
+                f"places, first from {before:.12g} to {after:.12g}; pass "
+                "gaps='split', fill it by reindexing and kinematics.fill_gaps, or drop "
+                "an index that does not count frames or seconds by "
+                "reset_index(drop=True)."
+            )
 
 
 def _refuse_axes(shape: tuple[int, ...], name: str) -> None:
