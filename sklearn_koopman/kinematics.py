@@ -364,8 +364,9 @@ def _check_recording(recording: Any, values: Array, name: str = "recording") -> 
         before, after = index.get_level_values(-1)[[row, row + 1]]
         raise ValueError(
             f"the index of {name} goes from {before} to {after}, which is not the "
-            "usual step; pass one recording, with a row of NaN for each missing frame, "
-            "for instance by recording.reindex."
+            "usual step; pass one recording, with a row of NaN for each missing frame: "
+            "of frames by reindex(range(first, last + 1)), of seconds by "
+            "reindex(times, method='nearest', tolerance=0.25 / rate)."
         )
 
 

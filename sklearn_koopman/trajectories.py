@@ -395,6 +395,12 @@ def _feature_names(
     if outputs_in_state:
         appended = [f"output_{y}" if y in names else y for y in output_names]
         features += embedded_names(appended, offsets, embedding)
+    twice = [name for name in features if features.count(name) > 1]
+    if twice:
+        raise ValueError(
+            f"The columns of the states would have the names {sorted(set(twice))} more "
+            "than once, with those of their past; rename the columns of trajectories."
+        )
     return features
 
 

@@ -345,7 +345,7 @@ def test_every_reader_sees_the_holes(as_index):
     assert_array_equal(pairs.X.to_numpy(), x[HOLEY[follows]])
     model = KernelEDMD(n_modes=0).fit(frame)
     assert_array_equal(model.center_indices_, np.flatnonzero(follows))
-    with pytest.raises(ValueError, match=r"recording goes from .* by recording\.rei"):
+    with pytest.raises(ValueError, match=r"recording goes from .* by reindex"):
         fill_gaps(frame, max_gap=3)
     whole = pd.DataFrame(x, index=as_index(np.arange(30)))
     assert len(trajectory_pairs(whole).X) == 29
@@ -1080,3 +1080,28 @@ def test_current_states_after_resampling_are_indexed_by_time():
     assert now.index.name == "time"
     assert_allclose(now.index, [0.025, 0.035, 0.045])
     assert_allclose(now["hip"], [5.0, 7.0, 9.0])
+
+
+def test_plain_lists_are_recordings():
+    """One recording may be a list of its rows, and its outputs a list of numbers."""
+    rows = [[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]]
+    pairs = trajectory_pairs(rows, [6.0, 7.0, 8.0])
+    assert_array_equal(pairs.X, rows[:2])
+    assert_array_equal(pairs.y, [7.0, 8.0])
+    assert_array_equal(trajectory_pairs([rows, rows]).groups, [0, 0, 1, 1])
+    assert_array_equal(current_states(rows, delays=2), [[4.0, 5.0, 2.0, 3.0]])
+    with pytest.raises(ValueError, match=r"dict; pass list\(data.values\(\)\)"):
+        trajectory_pairs({"T01": rows})
+
+
+def test_time_stamps_in_another_unit_than_seconds_are_told():
+    """Milliseconds with a fraction would make 100,000 samples of a second."""
+    stamps = np.arange(50) / 0.15 + 0.5
+    with pytest.raises(ValueError, match=r"makes 667 samples of each .* in seconds"):
+        trajectory_pairs(pd.DataFrame({"hip": stamps}, index=stamps), resample=100)
+
+
+def test_names_that_collide_with_those_of_the_past_are_refused():
+    frame = pd.DataFrame({"hip": np.arange(9.0), "hip_t-1": np.arange(9.0)})
+    with pytest.raises(ValueError, match=r"names \['hip_t-1'\] more than once"):
+        trajectory_pairs(frame, delays=2)

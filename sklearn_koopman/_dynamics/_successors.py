@@ -150,8 +150,8 @@ def _check_order(X: Array, y: Any, clock: Indices) -> None:
         if found is not None:
             row = order[found.rows[np.argmin(found.is_equal)] + found.shift]
             raise ValueError(
-                f"Most rows hold copies of what the row {found.shift} before them "
-                f"holds, but row {row} does not: a recording ends before it. {REMEDY}"
+                f"Most rows hold copies of what stands {found.shift} rows before them, "
+                f"but row {row} does not: a recording ends before it. {REMEDY}"
             )
 
 

@@ -15,6 +15,8 @@ JITTER = 0.25
 HOLE = 1.5  # usual steps: a longer one is a gap
 # Rates that were read off time stamps are equal within this part.
 RATE_TOLERANCE = 0.01
+# More samples for one than this are a mistake in the unit of time.
+MAX_UPSAMPLING = 50
 UNITS = {"milliseconds": 1000, "microseconds": 10**6, "nanoseconds": 10**9}
 
 
@@ -301,11 +303,18 @@ def resolve_rates(rates: Any, clocks: list[Clock], resample: Any) -> list[float 
             )
     known = [own or other for own, other in zip(given, found, strict=True)]
     if resample is not None:
-        if None in known:
-            raise ValueError(
-                f"resample={resample!r} needs the rate of trajectory "
-                f"{known.index(None)}; pass rates=, or frames indexed by seconds."
-            )
+        for number, rate in enumerate(known):
+            if rate is None:
+                raise ValueError(
+                    f"resample={resample!r} needs the rate of trajectory {number}; "
+                    "pass rates=, or frames of two or more rows indexed by seconds."
+                )
+            if resample > MAX_UPSAMPLING * rate:
+                raise ValueError(
+                    f"resample={resample!r} makes {resample / rate:.3g} samples of "
+                    f"each one of trajectory {number}, whose rate is {rate:.4g} Hz; "
+                    "an index of time stamps must be in seconds."
+                )
         return known
     every = [rate for rate in known if rate is not None]
     if not every:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -223,13 +224,19 @@ def _as_list(data: Any, name: str) -> list[Any]:
     shape = getattr(data, "shape", None)
     if shape is not None:
         _refuse_axes(shape, name)
-        data = [data]
+        return [data]
     is_list = hasattr(data, "__len__") and not isinstance(data, str | bytes | dict)
     if not is_list or len(data) == 0:
+        remedy = "; pass list(data.values())" if isinstance(data, dict) else ""
         raise ValueError(
             f"{name} must be an array or a non-empty list of arrays, got a "
-            f"{type(data).__name__}."
+            f"{type(data).__name__}{remedy}."
         )
+    # One recording may be a list of rows, which are lists, or of numbers.
+    first = [data[0]] if name == "outputs" else data[0]
+    is_row = isinstance(first, list | tuple) and len(first) > 0
+    if is_row and all(isinstance(value, Real) for value in first):
+        return [list(data)]
     return list(data)
 
 
