@@ -375,9 +375,10 @@ default=None
         trajectories and of blocks that were left out. So columns of `y`, and delayed
         copies in the states, are compared with the states of up to 128 rows later. Any
         scale and offset may lie between them, as behind a scaler. An error is raised if
-        they contradict the order. Other rows are trusted: without `y` and delays
-        nothing tells of a lag or of several trajectories. Then pass `sample_index`, in
-        particular behind a scaler, which drops the index of `X`.
+        they contradict the order. Other rows are trusted: a lag shows only if `y` has
+        columns of the states, and several trajectories only in these or in delayed
+        copies. So pass `sample_index` wherever there is no index, in particular behind
+        a scaler, which drops that of `X`.
         """
         refuse_masked(X=X, y=y, X_next=X_next, sample_index=sample_index)
         given, given_y = X, y

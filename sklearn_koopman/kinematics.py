@@ -356,17 +356,25 @@ def _check_recording(recording: Any, values: Array, name: str = "recording") -> 
         )
     if labels is None or len(labels) < 2:
         return
-    is_jump = np.diff(labels) <= 0
+    is_jump, usual = np.diff(labels) <= 0, 1.0
     if not is_jump.any():
         remedy = "interpolate it onto a regular grid"
-        is_jump = find_steps(labels, name, remedy)[0] > HOLE
+        steps, usual = find_steps(labels, name, remedy)
+        is_jump = steps > HOLE
     for row in np.flatnonzero(is_jump)[:1]:
-        before, after = index.get_level_values(-1)[[row, row + 1]]
+        clock = index.get_level_values(-1).infer_objects()
+        before, after = clock[[row, row + 1]]
+        times, near = "times", "a quarter of the step"
+        kind, n_steps = clock.dtype.kind, round((labels[-1] - labels[0]) / usual)
+        if kind in "iu":
+            times, near = f"range({labels[0]}, {labels[-1] + 1}, {usual:.0f})", "0"
+        elif kind == "f":
+            ends = f"{labels[0]:.12g}, {labels[-1]:.12g}"
+            times, near = f"np.linspace({ends}, {n_steps + 1})", f"{usual / 4:.3g}"
         raise ValueError(
             f"the index of {name} goes from {before} to {after}, which is not the "
-            "usual step; pass one recording, with a row of NaN for each missing frame: "
-            "of frames by reindex(range(first, last + 1)), of seconds by "
-            "reindex(times, method='nearest', tolerance=0.25 / rate)."
+            "usual step; pass one recording, with a row of NaN for each missing frame, "
+            f"by {name}.reindex({times}, method='nearest', tolerance={near})."
         )
 
 

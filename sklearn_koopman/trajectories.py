@@ -116,7 +116,8 @@ of them, default=None
         sample_index : ndarray of shape (n_pairs,)
             The place of each row on its trajectory. Row j follows row i (one `lag`
             later on the same trajectory) exactly if
-            ``sample_index[j] == sample_index[i] + 1``.
+            ``sample_index[j] == sample_index[i] + 1``. Several steps later only if all
+            numbers in between occur.
         time : ndarray of shape (n_pairs,)
             When the newest sample of each row was taken: its time stamp; or seconds
             from the start of its trajectory if there are `rates`, else samples.
@@ -536,8 +537,8 @@ def find_trials(X: Any, y: Any) -> Array | None:
     if falls or count_recordings(index) > 1:
         raise ValueError(
             "the index restarts or repeats, as it does for several trajectories one "
-            "after the other; pass the trajectory of each row as groups=, or drop an "
-            "index that means nothing by reset_index(drop=True)."
+            "after the other; pass the trajectory of each row as groups=, or frames of "
+            "trajectory_pairs."
         )
     return None
 
@@ -559,8 +560,9 @@ class TrajectoryKFold(BaseCrossValidator):
     `gap` rows on both sides of the block are neither in its training nor its test set.
 
     A :class:`KernelEDMD` does not see in arrays that a block is missing from its
-    training rows. Pass ``sample_index=np.arange(n_samples)`` to its fit, which
-    cross-validation divides as it divides the rows; DataFrames need nothing.
+    training rows. Pass the `sample_index` of :func:`trajectory_pairs` to its fit, which
+    cross-validation divides as it divides the rows (for one recording with a lag of 1
+    and without gaps, ``np.arange(n_samples)`` is the same). DataFrames need nothing.
 
     Parameters
     ----------

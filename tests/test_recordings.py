@@ -73,7 +73,10 @@ def test_levels_of_an_index():
     assert_array_equal(index_level("sample_index", frame.loc[7]), [3, 4])
     assert index_level("frame", frame, *other) is None
     first = frame.set_axis(index.set_levels([5, 6], level=0))
-    assert_array_equal(index_level("trial", first, frame), [5, 5, 6])
+    with pytest.raises(ValueError, match=r"differ in the level 'trial'.*y\.loc\[X"):
+        index_level("trial", first, frame)
+    with pytest.raises(ValueError, match="'trial' is a column.*set_index"):
+        index_level("trial", frame.reset_index())
 
 
 # --- arrays with three axes, masked arrays ------------------------------------------
@@ -88,9 +91,10 @@ def test_each_remedy_for_three_axes_makes_two():
         for form in (array, [array]):
             with pytest.raises(ValueError, match=r"^trajectories.*list\(array\)") as e:
                 trajectory_pairs(form)
-            message = str(e.value)
-            assert "array.reshape(len(array), -1)" in message
-            assert "points[:3].transpose(2, 1, 0).reshape(n_frames, -1)" in message
+            remedy = "points[:3].transpose(2, 1, 0).reshape(20, -1)"
+            if array is not points:
+                remedy = "array.reshape(20, -1)"
+            assert remedy in str(e.value)
     with pytest.raises(ValueError, match=r"^outputs.*axes"):
         trajectory_pairs(markers[:, 0], markers)
     n_frames = 20
@@ -345,7 +349,9 @@ def test_every_reader_sees_the_holes(as_index):
     assert_array_equal(pairs.X.to_numpy(), x[HOLEY[follows]])
     model = KernelEDMD(n_modes=0).fit(frame)
     assert_array_equal(model.center_indices_, np.flatnonzero(follows))
-    with pytest.raises(ValueError, match=r"recording goes from .* by reindex"):
+    with pytest.raises(
+        ValueError, match=r"recording goes from .* by recording\.reindex"
+    ):
         fill_gaps(frame, max_gap=3)
     whole = pd.DataFrame(x, index=as_index(np.arange(30)))
     assert len(trajectory_pairs(whole).X) == 29

@@ -9,10 +9,9 @@ from ._typing import Indices
 
 REMEDY = (
     "Give recordings to trajectory_pairs as a list of data frames, and fit to its "
-    "frames; or fit with sample_index=pairs.sample_index. Where cross-validation "
-    "leaves out blocks of one recording, give it sample_index=np.arange(n) of all n "
-    "rows. Only if every row is one step after the row before it, fit with "
-    "sample_index=range(len(X))."
+    "frames; or fit with sample_index=pairs.sample_index. Only if every row is one "
+    "step after the row before it, with lag=1 and without gaps, sample_index=range(n) "
+    "of all n rows serves as well, also where cross-validation leaves out blocks."
 )
 
 

@@ -280,22 +280,28 @@ def _refuse_holes(clocks: list[Clock]) -> None:
             raise ValueError(
                 f"the index of trajectory {number} has a hole in {is_hole.sum()} "
                 f"places, first from {before:.12g} to {after:.12g}; pass "
-                "gaps='split', fill it by reindexing and kinematics.fill_gaps, or drop "
-                "an index that does not count frames or seconds by "
-                "reset_index(drop=True)."
+                "gaps='split', or fill it by reindexing and kinematics.fill_gaps. "
+                "(Only an index that counts neither frames nor seconds may be dropped "
+                "by reset_index(drop=True).)"
             )
 
 
 def _refuse_axes(shape: tuple[int, ...], name: str) -> None:
     """Refuse arrays with more than two axes."""
-    if len(shape) > 2:
-        raise ValueError(
-            f"{name} has shape {shape}, not (n_samples, n_features). Several "
-            "trajectories are a list of arrays with two axes: list(array). One "
-            "recording of shape (frames, markers, 3) becomes one by "
-            "array.reshape(len(array), -1), and the points of a c3d file, of shape (4, "
-            "markers, frames), by points[:3].transpose(2, 1, 0).reshape(n_frames, -1)."
+    if len(shape) < 3:
+        return
+    remedy = "Several trajectories are a list of arrays with two axes: list(array)."
+    if len(shape) == 3 and shape[0] in (3, 4) and shape[2] > 4:
+        remedy = (
+            "Points of a c3d file, of shape (4, markers, frames), become a recording "
+            f"by points[:3].transpose(2, 1, 0).reshape({shape[2]}, -1). {remedy}"
         )
+    elif len(shape) == 3 and shape[2] in (2, 3):
+        remedy = (
+            "One recording of shape (frames, markers, 3) becomes one with two axes by "
+            f"array.reshape({shape[0]}, -1). {remedy}"
+        )
+    raise ValueError(f"{name} has shape {shape}, not (n_samples, n_features). {remedy}")
 
 
 def _as_arrays(items: list[Any], name: str, gaps: str) -> list[Array]:
