@@ -75,7 +75,7 @@ def test_levels_of_an_index():
     first = frame.set_axis(index.set_levels([5, 6], level=0))
     with pytest.raises(ValueError, match=r"differ in the level 'trial'.*y\.loc\[X"):
         index_level("trial", first, frame)
-    with pytest.raises(ValueError, match="'trial' is a column.*set_index"):
+    with pytest.raises(ValueError, match=r"'trial' is a column.*set_index"):
         index_level("trial", frame.reset_index())
 
 

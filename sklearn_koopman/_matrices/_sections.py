@@ -48,7 +48,7 @@ MAX_SIZE_FOR_PRODUCTS = 1e3
 # Where none has, the squared power function is about 1 % or less below its prior value.
 MIN_CORRELATION = 0.1
 # One centre in so many is asked first: they reach most rows.
-CENTERS_PER_PILOT = 128
+CENTERS_PER_PILOT = 512
 
 
 class Sections(Protocol):
@@ -275,28 +275,27 @@ def product(
             return values
 
         return by_rows(evaluate_sparsely, X, SPARSE_ROWS, n_jobs)
-    n_outputs = dual.shape[1]
 
     def evaluate(X: Array) -> Array:
-        values = np.zeros((len(X), n_outputs + tell_reached))
-        sums, reached = values[:, :n_outputs], values[:, n_outputs:]
+        values = np.zeros((len(X), dual.shape[1]))
+        reached = np.full(len(X), not tell_reached)
         fill, work = sections.tiles(X, exact=False), np.empty(TILE_ENTRIES)
         if tell_reached:
             correlate = _correlations(sections, X)
-            step = CENTERS_PER_PILOT + sections.size // TILE_ENTRIES
-            few = slice(0, sections.size, step)
-            height = TILE_ENTRIES // _length(few)
-            for rows in _slices(0, len(X) if len(X) > TILE_ROWS else 0, height):
-                tile = _filled(fill, rows, few, work)
-                reached[rows, 0] = correlate(tile, rows, few) >= MIN_CORRELATION
+            few = slice(0, sections.size, CENTERS_PER_PILOT)
+            n_few = -(-sections.size // CENTERS_PER_PILOT)
+            some = len(X) if len(X) > TILE_ROWS else 0  # else all centres at once
+            for rows in _slices(0, some, max(TILE_ENTRIES // n_few, 1)):
+                tile = np.empty((rows.stop - rows.start, n_few))
+                fill(rows, few, tile)
+                reached[rows] = correlate(tile, rows, few) >= MIN_CORRELATION
         some_left = not reached.all()
         for rows, columns in _grid(len(X), sections.size):
             tile = _filled(fill, rows, columns, work)
-            sums[rows] += tile @ dual[columns]
+            values[rows] += tile @ dual[columns]
             if some_left and not reached[rows].all():
-                largest = correlate(tile, rows, columns)
-                reached[rows, 0] += largest >= MIN_CORRELATION
-        return values
+                reached[rows] |= correlate(tile, rows, columns) >= MIN_CORRELATION
+        return np.column_stack([values, reached]) if tell_reached else values
 
     # Scaled copies of the rows are made once a slab, of whole tiles: sums of exact ones
     # do not depend on the number of threads.
@@ -397,14 +396,10 @@ def _height(n_columns: int) -> int:
 
 
 def _filled(fill: Tiles, rows: slice, columns: slice, work: Array) -> Array:
-    n_rows, n_columns = _length(rows), _length(columns)
+    n_rows, n_columns = rows.stop - rows.start, columns.stop - columns.start
     tile = work[: n_rows * n_columns].reshape(n_rows, n_columns)
     fill(rows, columns, tile)
     return tile
-
-
-def _length(places: slice) -> int:
-    return len(range(places.start, places.stop, places.step or 1))
 
 
 def _slices(start: int, stop: int, size: int) -> Iterator[slice]:
