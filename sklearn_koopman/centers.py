@@ -72,7 +72,7 @@ class SeparatedCenterSelector(
         spread of the states: the square root of the sum of the variances of the
         columns of `X`, which is their root mean square distance from their mean. The
         centres are then the same in every unit of the states. `partial_fit` takes the
-        spread of the first batch for all later ones.
+        spread of the first batch that needs it for all later ones.
     order : {"sequential", "farthest"}, default="sequential"
         The order in which samples become centres.
 

@@ -341,9 +341,8 @@ default=None
             them zero; if `X_next` and `sample_index` contradict each other; if the rows
             contradict their order, where only that tells which rows follow each other;
             if the index of a data frame repeats, has no label for some row, or is
-            irregular;
-            if no row has a successor; if a centre is no row with a successor where
-            interpolation needs it; if no solution is found, as with
+            irregular; if no row has a successor; if a centre is no row with a successor
+            where interpolation needs it; if no solution is found, as with
             ``solver="cholesky"`` and a Gram matrix that is not positive definite; if
             least squares has a linear trend that rows determine, but the centres do
             not.

@@ -97,9 +97,8 @@ default=None
         scikit-learn. The scorer gets an estimator that returns the held-out
         predictions, and the weights of the rows if it, or its metric, has the parameter
         `sample_weight` (whatever it requests under metadata routing); others score all
-        rows alike. None means the negative mean
-        squared error for leave-one-out, in the squared unit of the outputs, and
-        otherwise R^2, averaged over the outputs.
+        rows alike. None means the negative mean squared error for leave-one-out, in
+        the squared unit of the outputs, and otherwise R^2, averaged over the outputs.
     cv : int, cross-validation splitter or iterable, default=None
         How rows are held out.
 
@@ -306,8 +305,8 @@ default=None
         ------
         ValueError
             If a parameter is outside its range; if weights are negative, or all of
-            them zero; if a fold has no training row, no
-            test row or, for interpolation, no centre; if no candidate has a score.
+            them zero; if a fold has no training row, no test row or, for
+            interpolation, no centre; if no candidate has a score.
 
         Warns
         -----

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -396,11 +397,11 @@ def _feature_names(
     if outputs_in_state:
         appended = [f"output_{y}" if y in names else y for y in output_names]
         features += embedded_names(appended, offsets, embedding)
-    twice = [name for name in features if features.count(name) > 1]
+    twice = sorted(name for name, n in Counter(features).items() if n > 1)
     if twice:
         raise ValueError(
-            f"The columns of the states would have the names {sorted(set(twice))} more "
-            "than once, with those of their past; rename the columns of trajectories."
+            f"The columns of the states would have the names {twice} more than once, "
+            "with those of their past; rename the columns of trajectories."
         )
     return features
 

@@ -1,6 +1,7 @@
 """Joint angles from markers: known poses, the inverse formula, invariances."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -391,7 +392,6 @@ def test_masked_values_are_gaps():
 
 
 def test_dataframes_keep_index_and_columns():
-    pd = pytest.importorskip("pandas")
     frames = np.arange(10.0)
     frame = pd.DataFrame(
         {
@@ -415,7 +415,6 @@ def test_dataframes_keep_index_and_columns():
 
 
 def test_dataframes_that_lack_frames_are_refused():
-    pd = pytest.importorskip("pandas")
     values = {"x": cubic(np.arange(10.0))}
     frame = pd.DataFrame(values, index=np.arange(10) / 150)
     frame.iloc[[3, 4]] = np.nan
@@ -532,7 +531,6 @@ def test_columns_that_do_not_wrap_keep_their_bits():
 
 
 def test_unwrapping_keeps_the_form():
-    pd = pytest.importorskip("pandas")
     values = [340.0, 350, np.nan, 10, 20]
     expected = [340.0, 350, np.nan, 370, 380]
     masked = np.ma.masked_invalid(values)
@@ -579,7 +577,6 @@ def test_bad_angles(angles, period, message):
     ("turn", "period"), [(360, "period=360"), (2 * np.pi, r"period=2 \* np.pi")]
 )
 def test_filling_angles_that_wrap_warns(turn, period):
-    pd = pytest.importorskip("pandas")
     wrapped = rotation(turn) % turn
     frame = pd.DataFrame(wrapped, columns=["thigh", "shank"])
     frame["smooth"] = np.sin(np.arange(200) * 0.1)

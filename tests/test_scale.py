@@ -4,6 +4,8 @@ import pickle
 import warnings
 from pathlib import Path
 
+import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -28,6 +30,7 @@ from sklearn_koopman._utils._rows import CHUNK_ROWS, spread
 from sklearn_koopman.datasets import make_pendulum
 from sklearn_koopman.diagnostics import convergence_study
 from sklearn_koopman.kernels import Gaussian, MaternSobolev, as_kernel
+from sklearn_koopman.plotting import CenterSelectionDisplay
 
 METHODS = ["interpolation", "least_squares"]
 # Factors and shifts in units of the former spread. A shift by s costs s times 1e-16 of
@@ -339,11 +342,7 @@ def test_grid_searches_take_numbers_and_scale_side_by_side(pendulum):
 
 
 def test_displays_draw_the_separation_used(pendulum):
-    pytest.importorskip("matplotlib").use("Agg")
-    from matplotlib import pyplot as plt
-
-    from sklearn_koopman.plotting import CenterSelectionDisplay
-
+    matplotlib.use("Agg")
     X, y = pendulum.X, pendulum.y
     selector = SeparatedCenterSelector()
     frozen = FrozenEstimator(SeparatedCenterSelector().fit(2 * X))

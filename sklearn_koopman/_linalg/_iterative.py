@@ -187,9 +187,10 @@ class IterativeSystem:
         M, n, n_outputs = sections.size, total_weight(X, weights), y.shape[1]
         check_rows_suffice(len(X), M, alpha)
         check_trend_determined(self.degree, X, sections.centers)
+        root = None if weights is None else np.sqrt(weights)[:, np.newaxis]
         T, axes = np.empty((len(X), 0)), np.empty((0, 0))
         if self.trend is not None:
-            P = _weighted(self.trend.values(X), weights)
+            P = _times(root, self.trend.values(X))
             U, lengths, V = np.linalg.svd(P, full_matrices=False)
             determined = lengths > MIN_RELATIVE_LENGTH * lengths[0]
             T = U[:, determined]
@@ -206,10 +207,10 @@ class IterativeSystem:
             transposed = partial(product, rows, sections.centers, n_jobs=n_jobs)
 
         def forward(c: Array) -> Array:
-            return _weighted(multiply(c), weights)
+            return _times(root, multiply(c))
 
         def backward(v: Array) -> Array:
-            return transposed(_weighted(v, weights))
+            return transposed(_times(root, v))
 
         def normal(c: Array) -> Array:
             return backward(complement(T, forward(c))) + alpha * self.product(c)
@@ -230,7 +231,7 @@ class IterativeSystem:
         random = check_random_state(self.solver.random_state)
         n_probes = N_PROBE_VECTORS if alpha > 0 else 0
         signs = random.choice([-1.0, 1.0], size=(len(X), n_probes))
-        y = _weighted(y, weights)
+        y = _times(root, y)
         b = backward(beyond_rounding(np.hstack([y, signs]), T))
         found = self._solve(normal, b, _whiten(W, inner))
         dual_coef = np.ascontiguousarray(found.x[:, :n_outputs])
@@ -384,9 +385,9 @@ class IterativeSystem:
         return np.maximum(self.sections.diagonal(X) + quadratic, 0.0), found
 
 
-def _weighted(values: Array, weights: Array | None) -> Array:
-    """Multiply rows by the roots of their weights."""
-    return values if weights is None else np.sqrt(weights)[:, np.newaxis] * values
+def _times(root: Array | None, values: Array) -> Array:
+    """Multiply rows by the roots of their weights, if they have any."""
+    return values if root is None else root * values
 
 
 def _dense_root(sections: KernelSections) -> Array:

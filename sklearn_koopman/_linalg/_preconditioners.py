@@ -114,22 +114,24 @@ def _conditional(kernel: Kernel, x: Array, diagonal: Array) -> Array:
     unit = np.zeros((n, size, 1))
     unit[:, -1] = 1.0
     row = np.zeros((n, size))
-    todo = np.arange(n)
+    unsolved = np.arange(n)
     # A preconditioner may differ a little from the matrix: better that than none for
     # centres that rounding does not distinguish.
     for jitter in (0.0, 1e-12, 1e-8, 1e-4):
-        K[todo[:, np.newaxis], entries, entries] += jitter * diagonal[todo]
+        K[unsolved[:, np.newaxis], entries, entries] += jitter * diagonal[unsolved]
         try:
-            found = np.linalg.solve(K[todo], unit[todo])[:, :, 0]
+            found = np.linalg.solve(K[unsolved], unit[unsolved])[:, :, 0]
         except np.linalg.LinAlgError:
             continue
         variance = 1 / np.where(found[:, -1] > 0, found[:, -1], np.nan)
-        good = np.isfinite(found).all(axis=1) & (variance > 1e-14 * diagonal[todo, -1])
-        row[todo[good]] = found[good] * np.sqrt(variance[good])[:, np.newaxis]
-        todo = todo[~good]
-        if not len(todo):
+        good = np.isfinite(found).all(axis=1) & (
+            variance > 1e-14 * diagonal[unsolved, -1]
+        )
+        row[unsolved[good]] = found[good] * np.sqrt(variance[good])[:, np.newaxis]
+        unsolved = unsolved[~good]
+        if not len(unsolved):
             return row
-    row[todo, -1] = 1 / np.sqrt(diagonal[todo, -1])
+    row[unsolved, -1] = 1 / np.sqrt(diagonal[unsolved, -1])
     return row
 
 

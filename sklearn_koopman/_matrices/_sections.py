@@ -276,26 +276,27 @@ def product(
 
         return by_rows(evaluate_sparsely, X, SPARSE_ROWS, n_jobs)
 
+    correlate = _correlations(sections, X[:1]) if tell_reached else None
+
     def evaluate(X: Array) -> Array:
         values = np.zeros((len(X), dual.shape[1]))
-        reached = np.full(len(X), not tell_reached)
         fill, work = sections.tiles(X, exact=False), np.empty(TILE_ENTRIES)
-        if tell_reached:
-            correlate = _correlations(sections, X)
+        reached = np.full(len(X), correlate is None)
+        if correlate is not None and len(X) > TILE_ROWS:
             few = slice(0, sections.size, CENTERS_PER_PILOT)
             n_few = -(-sections.size // CENTERS_PER_PILOT)
-            some = len(X) if len(X) > TILE_ROWS else 0  # else all centres at once
-            for rows in _slices(0, some, max(TILE_ENTRIES // n_few, 1)):
+            for rows in _slices(0, len(X), max(TILE_ENTRIES // n_few, 1)):
                 tile = np.empty((rows.stop - rows.start, n_few))
                 fill(rows, few, tile)
-                reached[rows] = correlate(tile, rows, few) >= MIN_CORRELATION
+                reached[rows] = correlate(tile, X[rows], few) >= MIN_CORRELATION
         some_left = not reached.all()
         for rows, columns in _grid(len(X), sections.size):
             tile = _filled(fill, rows, columns, work)
             values[rows] += tile @ dual[columns]
-            if some_left and not reached[rows].all():
-                reached[rows] |= correlate(tile, rows, columns) >= MIN_CORRELATION
-        return np.column_stack([values, reached]) if tell_reached else values
+            if correlate is not None and some_left and not reached[rows].all():
+                largest = correlate(tile, X[rows], columns)
+                reached[rows] |= largest >= MIN_CORRELATION
+        return values if correlate is None else np.column_stack([values, reached])
 
     # Scaled copies of the rows are made once a slab, of whole tiles: sums of exact ones
     # do not depend on the number of threads.
@@ -309,21 +310,25 @@ def product(
 
 
 def _correlations(
-    sections: Sections, X: Array
-) -> Callable[[Array, slice, slice], Array]:
-    """Return a function that gives the largest correlation in each row of a tile."""
+    sections: Sections, state: Array
+) -> Callable[[Array, Array, slice], Array]:
+    """Return a function that gives the largest correlation in each row of a tile.
+
+    It takes the tile, the states of its rows and the places of its columns. Any state
+    tells the norm that all sections of a stationary kernel have.
+    """
     if isinstance(sections.kernel, RadialKernel):  # whose sections have norm 1
-        return lambda tile, rows, columns: tile.max(axis=1)
+        return lambda tile, states, columns: tile.max(axis=1)
     if sections.kernel.is_stationary():
-        square = float(sections.smooth_diagonal(X[:1])[0]) or 1.0
-        return lambda tile, rows, columns: np.abs(tile).max(axis=1) / square
-    left = np.sqrt(sections.smooth_diagonal(X))
+        square = float(sections.smooth_diagonal(state)[0]) or 1.0
+        return lambda tile, states, columns: np.abs(tile).max(axis=1) / square
     right = np.sqrt(sections.smooth_diagonal(sections.points))
 
-    def correlate(tile: Array, rows: slice, columns: slice) -> Array:
+    def correlate(tile: Array, states: Array, columns: slice) -> Array:
+        left = np.sqrt(sections.smooth_diagonal(states))
         # A section of norm 0 has no correlation, and the value 0 is right there.
         with np.errstate(divide="ignore", invalid="ignore"):
-            correlation = np.abs(tile) / right[columns] / left[rows, np.newaxis]
+            correlation = np.abs(tile) / right[columns] / left[:, np.newaxis]
         return np.nan_to_num(correlation, nan=1.0).max(axis=1)
 
     return correlate

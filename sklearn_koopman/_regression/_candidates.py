@@ -196,6 +196,7 @@ def score_kernel(
     With `pooled`, the folds are single rows, which are scored together.
     """
     outcomes: list[Array | ValueError] = []
+    weights = problem.weights if takes_weights(scorer) else None
     for found in problem.predict(kernel, alphas):
         if isinstance(found, ValueError):
             outcomes.append(found)
@@ -205,9 +206,7 @@ def score_kernel(
             found, tests = [np.concatenate(found)], [slice(None)]
         scores = []
         for own, rows in zip(found, tests, strict=True):
-            options = {}
-            if problem.weights is not None and takes_weights(scorer):
-                options["sample_weight"] = problem.weights[rows]
+            options = {} if weights is None else {"sample_weight": weights[rows]}
             scores.append(scorer(IdentityRegressor(), own, problem.y[rows], **options))
         outcomes.append(np.hstack(scores))
     return outcomes

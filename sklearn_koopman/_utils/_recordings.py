@@ -317,7 +317,8 @@ def _as_arrays(items: list[Any], name: str, gaps: str) -> list[Array]:
         if array.ndim != 2 and (array.ndim != 1 or name != "outputs"):
             raise ValueError(
                 f"{label} has shape {array.shape}, not (n_samples, n_features); pass "
-                "several trajectories as a list, a scalar one with .reshape(-1, 1)."
+                "several trajectories as a list, a scalar one with .reshape(-1, 1), or "
+                "of a Series .to_frame()."
             )
         empty = np.flatnonzero(np.isnan(array).reshape(len(array), -1).any(axis=1))
         if len(empty) and gaps == "raise":

@@ -19,6 +19,7 @@ SPELLED_OUT = {"millimeters": "mm", "centimeters": "cm", "meters": "m"}
 # Markers of a body that are closer together than this, in mm, or farther apart, have
 # the unit that brings them nearest to the usual size.
 MIN_BODY_SIZE, USUAL_BODY_SIZE, MAX_BODY_SIZE = 200.0, 1000.0, 3000.0
+FRAMES_TO_MEASURE = 200
 # Stamps in seconds may be rounded to milliseconds, and rates to 1 %.
 TIME_ROUNDING = 0.001
 RATE_TOLERANCE = 0.01
@@ -120,8 +121,9 @@ def load_markers(
     number of the frame or seconds; seconds may be rounded to milliseconds, and must
     agree with `rate` within 1 %. Frame numbers are whole and advance by one.
 
-    The size of a body is the median over the frames of the largest extent of all
-    markers of the file along an axis. A single marker has no size, and is not checked.
+    The size of a body is the median over some hundred frames of the largest extent of
+    all markers of the file along an axis. A single marker has no size, and is not
+    checked.
 
     A gap is a blank, NaN or infinite coordinate. Some programs write ``0  0  0``
     instead; such zeros cannot be told from a position and are returned as they are.
@@ -166,7 +168,7 @@ def load_markers(
         positions = _positions(rows, header, names)
         if gaps == "raise":
             _refuse_gaps(positions, [line for line, _ in rows])
-        units = unit or _unit_of_file(header.unit, _body(rows, header, positions))
+        units = unit or _unit_of_file(header.unit, _body(rows, header))
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
     return Bunch(
@@ -345,12 +347,13 @@ def _positions(rows: _Rows, header: _Header, names: list[str]) -> dict[str, Arra
     return positions
 
 
-def _body(rows: _Rows, header: _Header, positions: dict[str, Array]) -> list[Array]:
-    """Add the other markers of the file to those that are read."""
-    body = [*positions.values()]
-    for name in header.columns.keys() - positions.keys():
+def _body(rows: _Rows, header: _Header) -> list[Array]:
+    """Return all markers of the file in some of its frames, spread over it evenly."""
+    some = rows[:: max(len(rows) // FRAMES_TO_MEASURE, 1)]
+    body: list[Array] = []
+    for name in header.columns:
         with suppress(ValueError):  # what is not read may be damaged
-            body += _positions(rows, header, [name]).values()
+            body += _positions(some, header, [name]).values()
     return body
 
 
