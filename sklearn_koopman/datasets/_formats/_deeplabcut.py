@@ -1,0 +1,65 @@
+"""DeepLabCut's CSV, which Lightning Pose writes, too."""
+
+from collections.abc import Sequence
+
+from ._recording import Format, Marker, Recording
+from ._text import File, drop_end, find_delimiter, number_lines, read_table, split
+
+AXES = ("x", "y", "z")
+
+
+def _is_deeplabcut(file: File) -> bool:
+    return file.first_line.startswith("scorer") and len(file.lines) > 2
+
+
+def _read(file: File) -> Recording:
+    delimiter = find_delimiter(file.lines[0])
+    head: dict[str, list[str]] = {}
+    for line in file.lines:
+        key, *fields = drop_end(split(line, delimiter)) or [""]
+        head[key] = fields
+        if key == "coords":
+            break
+    names, coordinates = head.get("bodyparts"), head.get("coords")
+    n_columns = len(coordinates or ())
+    individuals = head.get("individuals", [""] * n_columns)
+    if not names or not coordinates or not n_columns == len(names) == len(individuals):
+        raise ValueError(
+            "lines 1 to 4: expected the rows 'scorer', 'individuals' (where there are "
+            "several), 'bodyparts' and 'coords', of the same length."
+        )
+    rows = number_lines(file.lines, len(head))
+    for number, line in rows[:1]:
+        if not split(line, delimiter)[0].isdigit():
+            raise ValueError(
+                f"line {number}: found {split(line, delimiter)[0]!r}, expected the "
+                "number of a frame; labels of single pictures are no recording."
+            )
+    keys = list(zip(individuals, names, strict=True))
+    labels = ["frame", *(f"{n} {c}" for n, c in zip(names, coordinates, strict=True))]
+    markers = []
+    for individual, name in dict.fromkeys(keys):
+        places = {
+            axis: column
+            for column, axis in enumerate(coordinates, 1)
+            if keys[column - 1] == (individual, name)
+        }
+        markers.append(_marker(individual, name, places))
+    table = read_table(rows, labels, delimiter)
+    return Recording(
+        table=table, markers=markers, unit="px", stamps=0, is_seconds=False
+    )
+
+
+def _marker(individual: str, name: str, places: dict[str, int]) -> Marker:
+    """Return a marker from the columns of its coordinates."""
+    columns: Sequence[int] = [places[axis] for axis in AXES if axis in places]
+    if not {"x", "y"} <= {*places}:
+        raise ValueError(
+            f"body part {name!r} has the columns {[*places]}, expected x and y; export "
+            "the file again."
+        )
+    return Marker(name, columns, individual, places.get("likelihood"))
+
+
+DEEPLABCUT = Format("DeepLabCut", _is_deeplabcut, _read)

@@ -1,0 +1,160 @@
+"""Files that are not read here: what they look like, and the lines that bring them in.
+
+Every remedy is Python that a user can paste; ``file`` stands for the path.
+"""
+
+import re
+from collections.abc import Callable
+from typing import NamedTuple
+
+from ._text import SHOWN, File, decode, find_delimiter, is_number, split
+
+HDF5 = b"\x89HDF\r\n\x1a\n"
+ZIP = b"PK\x03\x04"
+NUMPY = b"\x93NUMPY"
+MATLAB = b"MATLAB 5.0 MAT-file"
+TEXT_TO_LOOK_AT = 20_000
+
+MOVEMENT = """
+    from movement.io import load_dataset  # pip install movement
+    dataset = load_dataset(file, source_software={software!r}, fps=100)
+    trial = markers_from_movement(dataset)"""
+ARRAYS = """
+    states = table[[...]].to_numpy()  # the columns of the state, a row a frame
+    pairs = trajectory_pairs([states])"""
+
+
+class Foreign(NamedTuple):
+    """A format of files that is not read here."""
+
+    name: str
+    recognize: Callable[[File], bool]
+    remedy: str
+
+
+def _begins(*starts: str) -> Callable[[File], bool]:
+    return lambda file: file.first_line.startswith(starts)
+
+
+def _ends(*suffixes: str) -> Callable[[File], bool]:
+    return lambda file: file.suffix in suffixes
+
+
+def _begins_bytes(start: bytes) -> Callable[[File], bool]:
+    return lambda file: file.data.startswith(start)
+
+
+def _mentions(*words: str) -> Callable[[File], bool]:
+    return lambda file: all(word in _look(file) for word in words)
+
+
+def _look(file: File) -> str:
+    return decode(file.data[:TEXT_TO_LOOK_AT])
+
+
+def _is_storage(file: File) -> bool:
+    return re.search(r"^\s*endheader", _look(file), re.MULTILINE) is not None
+
+
+def _is_table(file: File) -> bool:
+    """Whether the file is a line of names and lines of as many numbers."""
+    lines = [line for line in file.lines[:3] if line.strip()]
+    if len(lines) < 2:
+        return False
+    delimiter = find_delimiter(lines[0])
+    names, numbers = (split(line, delimiter) for line in lines[:2])
+    return len(names) == len(numbers) > 1 and any(map(is_number, filter(None, numbers)))
+
+
+# The more particular ones first.
+FOREIGN = (
+    Foreign(
+        "OpenSim's storage of angles",
+        _is_storage,
+        "\n    trial = load_angles(file)  # angles are no positions",
+    ),
+    Foreign(
+        "an archive of NumPy",
+        lambda file: file.suffix == ".npz",
+        "\n    trials = load_trials(file)",
+    ),
+    Foreign(
+        "an array of NumPy",
+        _begins_bytes(NUMPY),
+        "\n    recording = numpy.load(file)  # (n_frames, n_markers, 3), say"
+        "\n    pairs = trajectory_pairs([recording.reshape(len(recording), -1)])",
+    ),
+    Foreign(
+        "SLEAP's analysis",
+        lambda file: (
+            file.suffix == ".slp"
+            or (file.data.startswith(HDF5) and b"track_names" in file.data)
+        ),
+        MOVEMENT.format(software="SLEAP"),
+    ),
+    Foreign(
+        "an HDF5 file, as DeepLabCut writes them",
+        _begins_bytes(HDF5),
+        MOVEMENT.format(software="DeepLabCut"),
+    ),
+    Foreign(
+        "a file of MATLAB",
+        lambda file: file.data.startswith(MATLAB) or file.suffix == ".mat",
+        "\n    table = scipy.io.loadmat(file)"
+        "\n    pairs = trajectory_pairs([table['...']])  # (n_frames, n_columns)",
+    ),
+    Foreign(
+        "a workbook of Excel",
+        lambda file: (
+            file.suffix in (".xlsx", ".xls", ".ods") or file.data.startswith(ZIP)
+        ),
+        "\n    table = pandas.read_excel(file)" + ARRAYS,
+    ),
+    Foreign(
+        "BVH, a skeleton and its joint angles",
+        _begins("HIERARCHY"),
+        "\n    lines = open(file).read().split('Frame Time:')[1].splitlines()"
+        "\n    angles = numpy.loadtxt(lines[1:])  # degrees, in the order of CHANNELS"
+        "\n    pairs = trajectory_pairs([numpy.unwrap(angles, period=360, axis=0)])",
+    ),
+    Foreign(
+        "AMC, the joint angles of a skeleton",
+        _ends(".amc", ".asf"),
+        "\n    convert it to C3D, and pass that file",
+    ),
+    Foreign(
+        "OptiTrack's CSV",
+        _begins("Format Version"),
+        "\n    table = pandas.read_csv(file, skiprows=2, header=[1, 3, 4])"
+        "\n    # or export the take as TRC or C3D, and pass that file",
+    ),
+    Foreign(
+        "a take of MVN",
+        _ends(".mvnx", ".mvn"),
+        "\n    export it as C3D, and pass that file",
+    ),
+    Foreign(
+        "key points in JSON, as OpenPose writes them",
+        lambda file: file.first_line.startswith(("{", "[")),
+        "\n    recording = numpy.array(...)  # (n_frames, n_markers, 2), from all files"
+        "\n    pairs = trajectory_pairs([recording.reshape(len(recording), -1)])",
+    ),
+    Foreign(
+        "a table of columns with names",
+        _is_table,
+        "\n    table = pandas.read_csv(file, sep=None, engine='python')" + ARRAYS,
+    ),
+)
+
+
+def describe(file: File) -> str:
+    """Say what a file looks like, and how to bring it in."""
+    for foreign in FOREIGN:
+        if foreign.recognize(file):
+            return f"the file looks like {foreign.name}. Bring it in by{foreign.remedy}"
+    is_text = b"\0" not in file.data[:TEXT_TO_LOOK_AT] and file.data.strip()
+    begin = f"line 1 is {file.first_line[:SHOWN]!r}" if is_text else "it is not text"
+    return (
+        f"no known format ({begin}). Bring it in as an array of numbers, a row a "
+        "frame:\n    pairs = trajectory_pairs([recording])"
+    )

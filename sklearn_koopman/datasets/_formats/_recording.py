@@ -1,0 +1,50 @@
+"""What all formats of markers are read into."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from ._text import File, Table
+
+# Between a person and the name of a marker.
+PREFIX_END = ":"
+
+
+class Marker(NamedTuple):
+    """The columns of one marker in a table."""
+
+    name: str
+    columns: Sequence[int]  # X and Y, and Z unless it is planar
+    individual: str = ""
+    likelihood: int | None = None  # its column
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """The markers of a file, and what the file says of them.
+
+    The rate, the unit and the stamps are None where the file does not tell.
+    """
+
+    table: Table
+    markers: Sequence[Marker]
+    rate: float | None = None
+    rate_name: str = "the rate of the file"
+    unit: str | None = None
+    stamps: int | None = None  # the column of the clock
+    is_seconds: bool | None = None  # None: if they are not all whole
+    first_frame: int = 0  # the number of the frame at time 0
+
+
+class Format(NamedTuple):
+    """A format of files, how it is recognised and how it is read."""
+
+    name: str
+    recognize: Callable[[File], bool]
+    read: Callable[[File], Recording]
+
+
+def split_prefix(label: str) -> tuple[str, str]:
+    """Split ``S01:Hip`` into the person and the marker; most labels have no person."""
+    individual, _, name = label.rpartition(PREFIX_END)
+    return individual, name

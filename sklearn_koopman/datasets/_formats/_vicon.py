@@ -1,0 +1,92 @@
+"""Vicon's CSV, of Nexus and of the older Workstation."""
+
+from collections.abc import Sequence
+
+from ._recording import Format, Marker, Recording, split_prefix
+from ._text import (
+    SHOWN,
+    File,
+    Line,
+    drop_end,
+    find_delimiter,
+    is_number,
+    number_lines,
+    read_table,
+    split,
+    to_float,
+)
+
+SECTION = "trajectories"
+OTHER_SECTIONS = ("devices", "joints", "model outputs", "segments", "events")
+# What follows the name of the section: rate, names, axes; then units, mostly.
+N_HEADER_LINES = 3
+CLOCKS = ("frame", "field")
+
+
+def _find_section(lines: Sequence[str]) -> int | None:
+    """Return the place of the line that begins the positions of the markers."""
+    for place, line in enumerate(lines):
+        if line.strip(' \t,;"').lower() == SECTION:
+            return place
+    return None
+
+
+def _is_vicon(file: File) -> bool:
+    first = file.first_line.strip(',;"').strip().lower()
+    return first in (SECTION, *OTHER_SECTIONS)
+
+
+def _read(file: File) -> Recording:
+    place = _find_section(file.lines)
+    if place is None or len(file.lines) <= place + N_HEADER_LINES:
+        raise ValueError(
+            f"there is no section 'Trajectories' after {file.first_line[:SHOWN]!r}; "
+            "export the trajectories of the markers, too."
+        )
+    rate_line, name_line, axis_line = file.lines[place + 1 : place + 4]
+    delimiter = find_delimiter(axis_line)
+    names, axes = split(name_line, delimiter), split(axis_line, delimiter)
+    axes = drop_end(axes)
+    if not axes or not axes[0].lower().startswith(CLOCKS):
+        raise ValueError(
+            f"line {place + 4}: found {axis_line[:SHOWN]!r}, expected 'Frame' and the "
+            "X, Y and Z of each marker; export the file again."
+        )
+    columns = {
+        i: name for i, name in enumerate(names) if name and axes[i : i + 3] == [*"XYZ"]
+    }
+    if not columns:
+        raise ValueError(
+            f"lines {place + 3} and {place + 4}: no name stands above an X, a Y and a "
+            "Z; export the trajectories of the markers."
+        )
+    first = place + 1 + N_HEADER_LINES
+    units = split(file.lines[first], delimiter) if len(file.lines) > first else []
+    has_units = any(units) and not any(map(is_number, filter(None, units)))
+    labels = list(axes)
+    markers = []
+    for column, name in columns.items():
+        individual, bare = split_prefix(name)
+        markers.append(Marker(bare, range(column, column + 3), individual))
+        labels[column : column + 3] = [f"{name} {axis}" for axis in "XYZ"]
+    rate = split(rate_line, delimiter)[0]
+    return Recording(
+        table=read_table(_rows(file.lines, first + has_units), labels, delimiter),
+        markers=markers,
+        rate=to_float(rate) if is_number(rate) and to_float(rate) > 0 else None,
+        rate_name=f"the rate in line {place + 2}",
+        unit=units[next(iter(columns))] if has_units else None,
+        stamps=0,
+        is_seconds=False,
+        first_frame=1,
+    )
+
+
+def _rows(lines: Sequence[str], first: int) -> list[Line]:
+    """Return the lines of frames; a blank line ends the section."""
+    rows = number_lines(lines, first)
+    ends = (i for i, (number, _) in enumerate(rows) if number != first + 1 + i)
+    return rows[: next(ends, len(rows))]
+
+
+VICON = Format("Vicon", _is_vicon, _read)

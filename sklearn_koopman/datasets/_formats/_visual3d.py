@@ -1,0 +1,46 @@
+"""Visual3D's text."""
+
+from ._recording import Format, Marker, Recording, split_prefix
+from ._text import File, drop_end, number_lines, read_table, split
+
+N_HEADER_LINES = 5  # recordings, signals, types, folders, axes
+ITEM = "ITEM"
+POSITIONS = ("TARGET", "LANDMARK")
+
+
+def _is_visual3d(file: File) -> bool:
+    lines = file.lines
+    return len(lines) >= N_HEADER_LINES and lines[4].strip().startswith(ITEM)
+
+
+def _read(file: File) -> Recording:
+    recordings, names, types, _, axes = (
+        split(line, "\t") for line in file.lines[:N_HEADER_LINES]
+    )
+    axes = drop_end(axes)
+    if len({*recordings[1 : len(axes)]}) > 1:
+        raise ValueError(
+            f"line 1: the file holds several recordings, {recordings[1]!r} and others; "
+            "export each to its own file."
+        )
+    markers = []
+    labels = [ITEM]
+    for column in range(1, len(axes)):
+        name = names[column] if column < len(names) else ""
+        kind = types[column] if column < len(types) else ""
+        labels.append(f"{name} {axes[column]}")
+        if axes[column : column + 3] == [*"XYZ"] and kind.upper() in POSITIONS:
+            individual, bare = split_prefix(name)
+            markers.append(Marker(bare, range(column, column + 3), individual))
+    if not markers:
+        raise ValueError(
+            f"line 3: the file holds {sorted({*types[1:]})}, not the X, Y and Z of a "
+            "TARGET or LANDMARK; export the positions of markers."
+        )
+    table = read_table(number_lines(file.lines, N_HEADER_LINES), labels, "\t")
+    return Recording(
+        table=table, markers=markers, stamps=0, is_seconds=False, first_frame=1
+    )
+
+
+VISUAL3D = Format("Visual3D", _is_visual3d, _read)

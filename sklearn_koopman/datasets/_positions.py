@@ -1,0 +1,196 @@
+"""From a recording, as its file holds it, to the markers that a user asks for."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from difflib import get_close_matches
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+from sklearn.utils import Bunch
+
+from .._utils._typing import Array, Mask
+from .._utils._validation import check_choice, check_number
+from ._clock import read_clock
+from ._formats._recording import PREFIX_END, Marker, Recording
+from ._units import IN_MM, find_unit
+
+FRAMES_TO_MEASURE = 200
+
+
+class Choices(NamedTuple):
+    """What a user asks for."""
+
+    markers: Sequence[str] | None
+    rate: float | None
+    unit: str | None
+    gaps: str
+    zeros: str
+    min_likelihood: float | None
+    individual: str | None
+
+
+def check_choices(choices: Choices) -> None:
+    """Refuse choices that suit no file."""
+    if choices.rate is not None:
+        check_number(choices.rate, "rate", positive=True)
+    check_choice(choices.unit, "unit", (None, *IN_MM))
+    check_choice(choices.gaps, "gaps", ("raise", "nan"))
+    check_choice(choices.zeros, "zeros", ("gap", "keep"))
+    if choices.min_likelihood is not None:
+        check_number(choices.min_likelihood, "min_likelihood")
+    names = choices.markers
+    if names is not None and (isinstance(names, str) or len(names) == 0):
+        raise ValueError(f"markers={names!r}; pass a list of names, or None.")
+
+
+def select_positions(recording: Recording, choices: Choices, where: str) -> Bunch:
+    """Return the markers that are asked for, with their time and unit."""
+    table = recording.table
+    chosen = _select(recording.markers, choices.markers, choices.individual)
+    frames, rate = read_clock(recording, choices.rate)
+    claimed = choices.unit or recording.unit
+    if rate is None or claimed is None:
+        _refuse_unsaid(rate, claimed)
+    positions = {n: _positions(recording, m, choices) for n, m in chosen.items()}
+    if choices.gaps == "raise":
+        _refuse_gaps(recording, chosen, positions)
+    unit = choices.unit or find_unit(claimed, _body(recording, choices))
+    likelihood = {
+        name: table.read([marker.likelihood])[:, 0]
+        for name, marker in chosen.items()
+        if marker.likelihood is not None
+    }
+    individuals = _individuals(recording.markers)
+    optional: dict[str, Any] = {"likelihood": likelihood, "individuals": individuals}
+    return Bunch(
+        markers=positions,
+        names=list(positions),
+        time=frames / rate,
+        rate=float(rate),
+        unit=unit,
+        **{name: values for name, values in optional.items() if values},
+        filename=where,
+        DESCR=f"{len(chosen)} markers in {len(frames)} frames at {rate:g} Hz, "
+        f"coordinates in {unit}, read from {where}",
+    )
+
+
+def _refuse_unsaid(rate: float | None, unit: str | None) -> NoReturn:
+    """Ask for the rate and the unit that a file does not tell."""
+    facts = {
+        "how many frames it has a second": ("rate, such as rate=100", rate),
+        "the unit of its positions": ("unit, one of 'mm', 'cm' and 'm'", unit),
+    }
+    unsaid = {fact: ask for fact, (ask, known) in facts.items() if known is None}
+    raise ValueError(
+        f"the file does not say {', nor '.join(unsaid)}; pass "
+        f"{', and '.join(unsaid.values())}."
+    )
+
+
+def _individuals(markers: Sequence[Marker]) -> list[str]:
+    return list(dict.fromkeys(m.individual for m in markers if m.individual))
+
+
+def _full_name(marker: Marker) -> str:
+    individual = marker.individual
+    return f"{individual}{PREFIX_END}{marker.name}" if individual else marker.name
+
+
+def _select(
+    markers: Sequence[Marker], names: Sequence[str] | None, individual: str | None
+) -> dict[str, Marker]:
+    """Return the markers to read, by the names that they are asked for by."""
+    individuals = _individuals(markers)
+    if individual is not None:
+        if individual not in individuals:
+            raise ValueError(
+                f"individual={individual!r}; the file holds the individuals "
+                f"{individuals}."
+            )
+        markers = [m for m in markers if m.individual == individual]
+    full = [_full_name(marker) for marker in markers]
+    bare = [marker.name for marker in markers]
+    if names is None:
+        names = bare
+    chosen = {}
+    for name in names:
+        places = [i for i, label in enumerate(full) if label == name]
+        places = places or [i for i, label in enumerate(bare) if label == name]
+        if not places:
+            close = get_close_matches(str(name), bare, n=4, cutoff=0.5)
+            hint = f"did you mean one of {close}? " * bool(close)
+            raise ValueError(f"no marker {name!r}; {hint}The file holds {bare}.")
+        if len({full[i] for i in places}) > 1:
+            raise ValueError(
+                f"the file holds the individuals {individuals}; pass individual, such "
+                f"as individual={individuals[0]!r}, or markers with full names, such "
+                f"as {full[places[0]]!r}."
+            )
+        if len(places) > 1:
+            raise ValueError(
+                f"{len(places)} markers have the name {name!r}; give each its own "
+                "name, or pass markers without it."
+            )
+        chosen[name] = markers[places[0]]
+    return chosen
+
+
+def _positions(recording: Recording, marker: Marker, choices: Choices) -> Array:
+    """Return the coordinates of a marker, NaN where there is a gap."""
+    values = recording.table.read(marker.columns)
+    is_lost = ~np.isfinite(values)
+    if choices.zeros == "gap":
+        is_lost |= _at_origin(values)[:, np.newaxis]
+    if choices.min_likelihood is not None:
+        if marker.likelihood is None:
+            raise ValueError(
+                f"min_likelihood={choices.min_likelihood}, but the file holds no "
+                f"likelihood of {marker.name!r}; leave min_likelihood out."
+            )
+        likelihood = recording.table.read([marker.likelihood])
+        is_lost |= ~(likelihood >= choices.min_likelihood)
+    return np.where(is_lost, np.nan, values)
+
+
+def _at_origin(values: Array) -> Mask:
+    """Return where a marker stands at exactly 0, 0, 0, as some programs write gaps."""
+    return (values == 0).all(axis=1)
+
+
+def _body(recording: Recording, choices: Choices) -> Array:
+    """Return all markers of the file in some of its frames, spread over it evenly."""
+    body = []
+    for marker in recording.markers:
+        with suppress(ValueError):  # what is not read may be damaged
+            body.append(_positions(recording, marker, choices))
+    step = max(len(recording.table) // FRAMES_TO_MEASURE, 1)
+    return np.stack(body)[:, ::step]
+
+
+def _refuse_gaps(
+    recording: Recording, chosen: dict[str, Marker], positions: dict[str, Array]
+) -> None:
+    """Refuse gaps, all of them at once."""
+    table = recording.table
+    gaps, n_zeros = [], 0
+    for name, values in positions.items():
+        is_lost = np.isnan(values).any(axis=1)
+        if is_lost.any():
+            lost = np.flatnonzero(is_lost)
+            gaps.append(
+                f"{name!r} in {len(lost)} frames, first in {table.place(lost[0])}"
+            )
+            raw = table.read(chosen[name].columns)
+            n_zeros += int((_at_origin(raw) & is_lost).sum())
+    if gaps:
+        remark = (
+            f"{n_zeros} of them stand at exactly 0, 0, 0; zeros='keep' says that they "
+            "are no gaps. "
+        )
+        raise ValueError(
+            f"of {len(table)} frames, coordinates are missing for {'; '.join(gaps)}. "
+            f"{remark if n_zeros else ''}Fill short gaps: pass gaps='nan', and the "
+            "markers to kinematics.fill_gaps; or cut the file there, or leave these "
+            "markers out."
+        )

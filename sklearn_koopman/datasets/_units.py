@@ -1,0 +1,45 @@
+"""Units of positions, checked by the size of a body."""
+
+import numpy as np
+
+from .._utils._typing import Array
+
+IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+PIXELS = "px"
+# As files spell them out; the British end in -metre.
+SPELLED_OUT = {"millimeters": "mm", "centimeters": "cm", "meters": "m"}
+SPELLED_OUT |= {name.removesuffix("s"): unit for name, unit in SPELLED_OUT.items()}
+# Markers of a body that are closer together than this, in mm, or farther apart, have
+# the unit that brings them nearest to the usual size.
+MIN_BODY_SIZE, USUAL_BODY_SIZE, MAX_BODY_SIZE = 200.0, 1000.0, 3000.0
+
+
+def find_unit(claimed: str, cloud: Array) -> str:
+    """Return the unit that a file claims; refuse it if the body has another size.
+
+    The cloud has the shape (n_markers, n_frames, n_axes).
+    """
+    name = claimed.lower().replace("metre", "meter")
+    unit = SPELLED_OUT.get(name, name)
+    if unit == PIXELS:
+        return unit
+    if unit not in IN_MM:
+        raise ValueError(
+            f"the file gives {claimed!r} as its unit, not 'mm', 'cm' or 'm'; pass "
+            "unit, which wins over the file."
+        )
+    # Unlike max and min, these ignore NaN.
+    extents = np.fmax.reduce(cloud) - np.fmin.reduce(cloud)
+    sizes = np.fmax.reduce(extents, axis=1)
+    sizes = sizes[sizes > 0]  # frames with several markers
+    if not len(sizes):
+        return unit
+    size = float(np.median(sizes))
+    is_usual = MIN_BODY_SIZE <= size * IN_MM[unit] <= MAX_BODY_SIZE
+    likely = min(IN_MM, key=lambda u: abs(np.log(size * IN_MM[u] / USUAL_BODY_SIZE)))
+    if not is_usual and likely != unit:
+        raise ValueError(
+            f"the markers of a frame are {size:.3g} apart, like {likely} instead of "
+            f"{unit}; pass unit={likely!r}, or unit={unit!r} if the file is right."
+        )
+    return unit
