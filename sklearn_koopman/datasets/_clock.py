@@ -12,39 +12,46 @@ RATE_TOLERANCE = 0.01
 MAX_DECIMALS = 12
 
 
-def read_clock(recording: Recording, rate: float | None) -> tuple[Array, float | None]:
-    """Return the number of each frame, from 0 at time 0, and the frames per second.
+def read_clock(recording: Recording, rate: float | None) -> tuple[Array, float]:
+    """Return the time of each frame in seconds, and the frames per second.
 
-    A rate that is None is that of the file, or is read off its stamps in seconds. It
-    remains None where these do not tell.
+    A rate that is None is that of the file, or is read off its stamps in seconds. Where
+    these do not tell, it is returned as NaN.
     """
     rate_name = "rate" if rate is not None else recording.rate_name
     rate = rate if rate is not None else recording.rate
     table, column = recording.table, recording.stamps
     if column is None:
-        return np.arange(float(len(table))), rate
+        return np.arange(len(table)) / (rate or np.nan), rate or np.nan
+    stamps = _stamps(table, column)
+    is_whole = bool((stamps == np.rint(stamps)).all())
+    is_frames = is_whole if recording.is_seconds is None else not recording.is_seconds
+    _check_steps(table, column, stamps, is_frames=is_frames)
+    if is_frames:
+        return (stamps - recording.first_frame) / (rate or np.nan), rate or np.nan
+    steps, span = len(stamps) - 1, float(stamps[-1] - stamps[0])
+    rate = rate or (rate_of_stamps(stamps) if steps else np.nan)
+    if abs(span - steps / rate) > RATE_TOLERANCE * steps / rate + TIME_ROUNDING:
+        raise ValueError(
+            f"Time advances by {steps / span:.4g} frames per second, but {rate_name} "
+            f"is {rate:g}; correct Time, or pass rate={steps / span:.4g}."
+        )
+    # Time begins at a whole frame if rounding allows it.
+    first, frames = stamps[0] * rate, np.arange(len(stamps))
+    whole = np.rint(first)
+    is_rounded = abs(first - whole) <= TIME_ROUNDING * rate
+    return ((whole if is_rounded else first) + frames) / rate, rate
+
+
+def _stamps(table: Table, column: int) -> Array:
+    """Return the column of the clock; refuse blanks."""
     stamps: Array = table.read([column])[:, 0]
     for i in np.flatnonzero(~np.isfinite(stamps)):
         raise ValueError(
             f"{table.place(i)}: {table.labels[column]} is blank; write it, or remove "
             "the line."
         )
-    is_whole = bool((stamps == np.rint(stamps)).all())
-    is_frames = is_whole if recording.is_seconds is None else not recording.is_seconds
-    _check_steps(table, column, stamps, is_frames=is_frames)
-    if is_frames:
-        return stamps - recording.first_frame, rate
-    steps, span = len(stamps) - 1, float(stamps[-1] - stamps[0])
-    if rate is None:
-        if not steps:
-            return np.zeros(1), None
-        rate = rate_of_stamps(stamps)
-    if abs(span - steps / rate) > RATE_TOLERANCE * steps / rate + TIME_ROUNDING:
-        raise ValueError(
-            f"Time advances by {steps / span:.4g} frames per second, but {rate_name} "
-            f"is {rate:g}; correct Time, or pass rate={steps / span:.4g}."
-        )
-    return np.rint(stamps[0] * rate) + np.arange(len(stamps)), rate
+    return stamps
 
 
 def rate_of_stamps(stamps: Array) -> float:
@@ -64,13 +71,19 @@ def rate_of_stamps(stamps: Array) -> float:
 def _check_steps(table: Table, column: int, stamps: Array, *, is_frames: bool) -> None:
     """Refuse stamps that do not advance evenly."""
     steps = np.diff(stamps)
-    if is_frames or not len(steps):
-        uneven = np.flatnonzero(steps != 1)
-    else:
-        usual = np.sort(steps)[(len(steps) - 1) // 2]
-        uneven = np.flatnonzero((steps <= 0) | (steps > 1.5 * usual))
-    for i in uneven:
+    if not len(steps):
+        return
+    usual = 1.0 if is_frames else float(np.sort(steps)[(len(steps) - 1) // 2])
+    uneven = steps != 1 if is_frames else (steps <= 0) | (steps > 1.5 * usual)
+    for i in np.flatnonzero(uneven):
         raise ValueError(
             f"{table.place(i + 1)}: {table.labels[column]} goes from {stamps[i]:g} to "
             f"{stamps[i + 1]:g}; sort the frames, and split the file at gaps."
+        )
+    even = np.linspace(stamps[0], stamps[-1], len(stamps))
+    late = np.abs(stamps - even)
+    if late.max() > max(usual / 2, TIME_ROUNDING):
+        raise ValueError(
+            f"the steps of {table.labels[column]} vary from {steps.min():.4g} to "
+            f"{steps.max():.4g}; export the file at a fixed rate."
         )

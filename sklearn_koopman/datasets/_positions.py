@@ -47,9 +47,9 @@ def select_positions(recording: Recording, choices: Choices, where: str) -> Bunc
     """Return the markers that are asked for, with their time and unit."""
     table = recording.table
     chosen = _select(recording.markers, choices.markers, choices.individual)
-    frames, rate = read_clock(recording, choices.rate)
+    time, rate = read_clock(recording, choices.rate)
     claimed = choices.unit or recording.unit
-    if rate is None or claimed is None:
+    if np.isnan(rate) or claimed is None:
         _refuse_unsaid(rate, claimed)
     positions = {n: _positions(recording, m, choices) for n, m in chosen.items()}
     if choices.gaps == "raise":
@@ -65,23 +65,23 @@ def select_positions(recording: Recording, choices: Choices, where: str) -> Bunc
     return Bunch(
         markers=positions,
         names=list(positions),
-        time=frames / rate,
+        time=time,
         rate=float(rate),
         unit=unit,
         **{name: values for name, values in optional.items() if values},
         filename=where,
-        DESCR=f"{len(chosen)} markers in {len(frames)} frames at {rate:g} Hz, "
+        DESCR=f"{len(chosen)} markers in {len(time)} frames at {rate:g} Hz, "
         f"coordinates in {unit}, read from {where}",
     )
 
 
-def _refuse_unsaid(rate: float | None, unit: str | None) -> NoReturn:
+def _refuse_unsaid(rate: float, unit: str | None) -> NoReturn:
     """Ask for the rate and the unit that a file does not tell."""
-    facts = {
-        "how many frames it has a second": ("rate, such as rate=100", rate),
-        "the unit of its positions": ("unit, one of 'mm', 'cm' and 'm'", unit),
-    }
-    unsaid = {fact: ask for fact, (ask, known) in facts.items() if known is None}
+    unsaid = {}
+    if np.isnan(rate):
+        unsaid["how many frames it has a second"] = "rate, such as rate=100"
+    if unit is None:
+        unsaid["the unit of its positions"] = "unit, one of 'mm', 'cm' and 'm'"
     raise ValueError(
         f"the file does not say {', nor '.join(unsaid)}; pass "
         f"{', and '.join(unsaid.values())}."

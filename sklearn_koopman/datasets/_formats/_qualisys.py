@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from ..._utils._warnings import warn
-from ._recording import Format, Marker, Recording, split_prefix
+from ._recording import Format, Marker, Recording, split_prefix, warn_of_count
 from ._text import (
     File,
     Line,
@@ -35,12 +34,7 @@ def _read(file: File) -> Recording:
     labels = [*clocks, *(f"{name} {axis}" for name in names for axis in "XYZ")]
     rows = number_lines(file.lines, n_head) if clocks else _rows(file.lines, n_head)
     table = read_table(rows, labels, "\t")
-    n_frames = to_float(head.get("NO_OF_FRAMES", [""])[0])
-    if n_frames == n_frames and n_frames != len(table):
-        warn(
-            f"NO_OF_FRAMES is {n_frames:g}, but the file holds {len(table)}, which are "
-            "read; if some were cut off, export the file again."
-        )
+    warn_of_count("NO_OF_FRAMES", head.get("NO_OF_FRAMES", [""])[0], [len(table)])
     markers = []
     for column, name in zip(range(len(clocks), len(labels), 3), names, strict=True):
         individual, bare = split_prefix(name)

@@ -1,10 +1,11 @@
 """What all formats of markers are read into."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from ._text import File, Table
+from ..._utils._warnings import warn
+from ._text import File, Table, is_number, to_float
 
 # Between a person and the name of a marker.
 PREFIX_END = ":"
@@ -42,6 +43,15 @@ class Format(NamedTuple):
     name: str
     recognize: Callable[[File], bool]
     read: Callable[[File], Recording]
+
+
+def warn_of_count(name: str, claimed: str | None, found: Collection[float]) -> None:
+    """Warn if the head of a file counts something otherwise than its lines do."""
+    if claimed and is_number(claimed) and to_float(claimed) not in found:
+        warn(
+            f"{name} is {claimed}, but the file holds {min(found):g}, which are read; "
+            "if some were cut off, export the file again."
+        )
 
 
 def split_prefix(label: str) -> tuple[str, str]:

@@ -2,8 +2,7 @@
 
 import re
 
-from ..._utils._warnings import warn
-from ._recording import Format, Marker, Recording, split_prefix
+from ._recording import Format, Marker, Recording, split_prefix, warn_of_count
 from ._text import (
     SHOWN,
     File,
@@ -17,7 +16,7 @@ from ._text import (
 )
 
 N_HEADER_LINES = 4  # and one of axes, mostly
-COUNTS = ("NumFrames", "NumMarkers")
+NUMBERS = ("DataRate", "NumFrames", "NumMarkers")
 AXIS = re.compile(r"[XYZ]\d*", re.IGNORECASE)
 
 
@@ -48,7 +47,9 @@ def _read(file: File) -> Recording:
         axes = ["", "", *("XYZ"[i % 3] for i in range(n_fields - 2))]
     markers, labels = _markers(head, axes)
     table = read_table(rows, [*head[:2], *labels], delimiter)
-    _warn_of_counts(settings, len(table), {len(markers), len(labels) / 3})
+    warn_of_count("NumFrames in line 3", settings.get("NumFrames"), [len(table)])
+    n_markers = [len(markers), len(labels) / 3]
+    warn_of_count("NumMarkers in line 3", settings.get("NumMarkers"), n_markers)
     rate = to_float(settings.get("DataRate", ""))
     return Recording(
         table=table,
@@ -68,7 +69,7 @@ def _settings(lines: list[str]) -> dict[str, str]:
     if len(values) != len(names):  # some programs write empty fields in between
         names, values = list(filter(None, names)), list(filter(None, values))
     settings = dict(zip(names, values, strict=False))
-    for name in ("DataRate", *COUNTS):
+    for name in NUMBERS:
         if not is_number(settings.get(name, "")):
             raise ValueError(
                 f"line 3: {name} is {settings[name]!r}, expected a number; write one "
@@ -101,21 +102,6 @@ def _markers(head: list[str], axes: list[str]) -> tuple[list[Marker], list[str]]
         for i, axis in zip(order, "XYZ", strict=True):
             labels[i] = f"{name}{axis}"
     return markers, labels
-
-
-def _warn_of_counts(
-    settings: dict[str, str], n_frames: float, n_markers: set[float]
-) -> None:
-    """Warn if the head counts other frames or markers than there are."""
-    there: tuple[set[float], ...] = ({n_frames}, n_markers)
-    for name, counts in zip(COUNTS, there, strict=True):
-        claimed = to_float(settings.get(name, ""))
-        if claimed == claimed and claimed not in counts:
-            warn(
-                f"{name} in line 3 is {claimed:g}, but the file holds "
-                f"{min(counts):g}, which are read; if some were cut off, export the "
-                "file again."
-            )
 
 
 TRC = Format("TRC", _is_trc, _read)
