@@ -73,7 +73,9 @@ def _check_steps(table: Table, column: int, stamps: Array, *, is_frames: bool) -
     steps = np.diff(stamps)
     if not len(steps):
         return
-    usual = 1.0 if is_frames else float(np.sort(steps)[(len(steps) - 1) // 2])
+    forward = np.sort(steps[steps > 0])
+    # The lower median: one of two steps may be long.
+    usual = 1.0 if is_frames or not len(forward) else forward[(len(forward) - 1) // 2]
     uneven = steps != 1 if is_frames else (steps <= 0) | (steps > 1.5 * usual)
     for i in np.flatnonzero(uneven):
         raise ValueError(

@@ -47,11 +47,11 @@ def select_positions(recording: Recording, choices: Choices, where: str) -> Bunc
     """Return the markers that are asked for, with their time and unit."""
     table = recording.table
     chosen = _select(recording.markers, choices.markers, choices.individual)
+    positions = {n: _positions(recording, m, choices) for n, m in chosen.items()}
     time, rate = read_clock(recording, choices.rate)
     claimed = choices.unit or recording.unit
     if np.isnan(rate) or claimed is None:
         _refuse_unsaid(rate, claimed)
-    positions = {n: _positions(recording, m, choices) for n, m in chosen.items()}
     if choices.gaps == "raise":
         _refuse_gaps(recording, chosen, positions)
     unit = choices.unit or find_unit(claimed, _body(recording, choices))
@@ -105,8 +105,11 @@ def _select(
     if individual is not None:
         if individual not in individuals:
             raise ValueError(
-                f"individual={individual!r}; the file holds the individuals "
+                f"individual={individual!r}, but the file holds the individuals "
                 f"{individuals}."
+                if individuals
+                else f"individual={individual!r}, but the file names no individuals; "
+                "leave individual out."
             )
         markers = [m for m in markers if m.individual == individual]
     full = [_full_name(marker) for marker in markers]

@@ -7,14 +7,17 @@ import numpy as np
 from ._recording import Format, Marker, Recording, split_prefix
 from ._text import File, Table
 
-# The second byte of every file.
+# The second byte of every file; the first is the number of a block, mostly 2.
 MAGIC = 0x50
+MAX_BLOCK = 8
 # Groups of names, in the section POINT, of what is stored like points, but is none.
 NO_POINTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 
 
 def _is_c3d(file: File) -> bool:
-    return file.suffix == ".c3d" or file.data[1:2] == bytes([MAGIC])
+    begin = file.data[:2]
+    has_magic = len(begin) == 2 and 1 <= begin[0] <= MAX_BLOCK and begin[1] == MAGIC
+    return file.suffix == ".c3d" or has_magic
 
 
 def _read(file: File) -> Recording:

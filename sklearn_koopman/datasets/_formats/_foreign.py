@@ -152,7 +152,9 @@ def describe(file: File) -> str:
     for foreign in FOREIGN:
         if foreign.recognize(file):
             return f"the file looks like {foreign.name}. Bring it in by{foreign.remedy}"
-    is_text = b"\0" not in file.data[:TEXT_TO_LOOK_AT] and file.data.strip()
+    if not file.data.strip():
+        return "the file is empty; export it again."
+    is_text = b"\0" not in file.data[:TEXT_TO_LOOK_AT]
     begin = f"line 1 is {file.first_line[:SHOWN]!r}" if is_text else "it is not text"
     return (
         f"no known format ({begin}). Bring it in as an array of numbers, a row a "
