@@ -15,6 +15,7 @@ from ._formats._recording import PREFIX_END, Marker, Recording
 from ._units import IN_MM, find_unit
 
 FRAMES_TO_MEASURE = 200
+MAX_NAMED = 5  # markers with gaps in a message
 
 
 class Choices(NamedTuple):
@@ -114,6 +115,8 @@ def _select(
         markers = [m for m in markers if m.individual == individual]
     full = [_full_name(marker) for marker in markers]
     bare = [marker.name for marker in markers]
+    if not markers:
+        raise ValueError("the file holds no positions of markers; export them, too.")
     if names is None:
         names = bare
     chosen = {}
@@ -186,6 +189,8 @@ def _refuse_gaps(
             )
             raw = table.read(chosen[name].columns)
             n_zeros += int((_at_origin(raw) & is_lost).sum())
+    if len(gaps) > MAX_NAMED:
+        gaps[MAX_NAMED:] = [f"{len(gaps) - MAX_NAMED} more"]
     if gaps:
         remark = (
             f"{n_zeros} of them stand at exactly 0, 0, 0; zeros='keep' says that they "

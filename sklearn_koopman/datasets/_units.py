@@ -3,9 +3,9 @@
 import numpy as np
 
 from .._utils._typing import Array
+from ._formats._recording import PIXELS
 
 IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-PIXELS = "px"
 # As files spell them out; the British end in -metre.
 SPELLED_OUT = {"millimeters": "mm", "centimeters": "cm", "meters": "m"}
 SPELLED_OUT |= {name.removesuffix("s"): unit for name, unit in SPELLED_OUT.items()}

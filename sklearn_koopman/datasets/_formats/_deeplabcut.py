@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ._recording import Format, Marker, Recording
+from ._recording import PIXELS, Format, Marker, Recording
 from ._text import File, drop_end, find_delimiter, number_lines, read_table, split
 
 AXES = ("x", "y", "z")
@@ -46,8 +46,13 @@ def _read(file: File) -> Recording:
         }
         markers.append(_marker(individual, name, places))
     table = read_table(rows, labels, delimiter)
+    is_planar = all(len(marker.columns) == 2 for marker in markers)
     return Recording(
-        table=table, markers=markers, unit="px", stamps=0, is_seconds=False
+        table=table,
+        markers=markers,
+        unit=PIXELS if is_planar else None,
+        stamps=0,
+        is_seconds=False,
     )
 
 

@@ -19,9 +19,14 @@ MOVEMENT = """
     from movement.io import load_dataset  # pip install movement
     dataset = load_dataset(file, source_software={software!r}, fps=100)
     trial = markers_from_movement(dataset)"""
-ARRAYS = """
-    states = table[[...]].to_numpy()  # the columns of the state, a row a frame
+COLUMNS = """
+    states = table.iloc[:, 1:].to_numpy()  # the columns of the state, a row a frame
     pairs = trajectory_pairs([states])"""
+POSITIONS = """
+    pairs = trajectory_pairs([recording.reshape(len(recording), -1)])"""
+EXPORT = """
+    # export it as C3D, then
+    trial = load_markers(file)"""
 
 
 class Foreign(NamedTuple):
@@ -42,10 +47,6 @@ def _ends(*suffixes: str) -> Callable[[File], bool]:
 
 def _begins_bytes(start: bytes) -> Callable[[File], bool]:
     return lambda file: file.data.startswith(start)
-
-
-def _mentions(*words: str) -> Callable[[File], bool]:
-    return lambda file: all(word in _look(file) for word in words)
 
 
 def _look(file: File) -> str:
@@ -71,21 +72,24 @@ FOREIGN = (
     Foreign(
         "OpenSim's storage of angles",
         _is_storage,
-        "\n    trial = load_angles(file)  # angles are no positions",
+        """
+    trial = load_angles(file)  # angles are no positions""",
     ),
     Foreign(
         "an archive of NumPy",
-        lambda file: file.suffix == ".npz",
-        "\n    trials = load_trials(file)",
+        _ends(".npz"),
+        """
+    trials = load_trials(file)""",
     ),
     Foreign(
         "an array of NumPy",
         _begins_bytes(NUMPY),
-        "\n    recording = numpy.load(file)  # (n_frames, n_markers, 3), say"
-        "\n    pairs = trajectory_pairs([recording.reshape(len(recording), -1)])",
+        """
+    recording = numpy.load(file)  # (n_frames, n_markers, 3), say"""
+        + POSITIONS,
     ),
     Foreign(
-        "SLEAP's analysis",
+        "poses of SLEAP",
         lambda file: (
             file.suffix == ".slp"
             or (file.data.startswith(HDF5) and b"track_names" in file.data)
@@ -93,56 +97,62 @@ FOREIGN = (
         MOVEMENT.format(software="SLEAP"),
     ),
     Foreign(
-        "an HDF5 file, as DeepLabCut writes them",
+        "HDF5, as DeepLabCut writes it",
         _begins_bytes(HDF5),
         MOVEMENT.format(software="DeepLabCut"),
     ),
     Foreign(
-        "a file of MATLAB",
+        "arrays of MATLAB",
         lambda file: file.data.startswith(MATLAB) or file.suffix == ".mat",
-        "\n    table = scipy.io.loadmat(file)"
-        "\n    pairs = trajectory_pairs([table['...']])  # (n_frames, n_columns)",
+        """
+    arrays = scipy.io.loadmat(file)  # by their names
+    recording = arrays["markers"]  # (n_frames, n_markers, 3), say"""
+        + POSITIONS,
     ),
     Foreign(
         "a workbook of Excel",
         lambda file: (
             file.suffix in (".xlsx", ".xls", ".ods") or file.data.startswith(ZIP)
         ),
-        "\n    table = pandas.read_excel(file)" + ARRAYS,
+        """
+    table = pandas.read_excel(file)"""
+        + COLUMNS,
     ),
     Foreign(
         "BVH, a skeleton and its joint angles",
         _begins("HIERARCHY"),
-        "\n    lines = open(file).read().split('Frame Time:')[1].splitlines()"
-        "\n    angles = numpy.loadtxt(lines[1:])  # degrees, in the order of CHANNELS"
-        "\n    pairs = trajectory_pairs([numpy.unwrap(angles, period=360, axis=0)])",
+        """
+    lines = open(file).read().split("Frame Time:")[1].splitlines()
+    angles = numpy.loadtxt(lines[1:], ndmin=2)  # in degrees, as CHANNELS lists them
+    pairs = trajectory_pairs([numpy.unwrap(angles, period=360, axis=0)])""",
     ),
-    Foreign(
-        "AMC, the joint angles of a skeleton",
-        _ends(".amc", ".asf"),
-        "\n    convert it to C3D, and pass that file",
-    ),
+    Foreign("the angles of a skeleton, AMC", _ends(".amc", ".asf"), EXPORT),
+    Foreign("a take of MVN", _ends(".mvnx", ".mvn"), EXPORT),
     Foreign(
         "OptiTrack's CSV",
         _begins("Format Version"),
-        "\n    table = pandas.read_csv(file, skiprows=2, header=[1, 3, 4])"
-        "\n    # or export the take as TRC or C3D, and pass that file",
-    ),
-    Foreign(
-        "a take of MVN",
-        _ends(".mvnx", ".mvn"),
-        "\n    export it as C3D, and pass that file",
+        """
+    text = open(file).read()
+    lines = text[text.index("\\nFrame,") :].splitlines()[2:]
+    numbers = numpy.genfromtxt(lines, delimiter=",")  # frame, time, X, Y, Z, ...
+    pairs = trajectory_pairs([numbers[:, 2:]], gaps="split")""",
     ),
     Foreign(
         "key points in JSON, as OpenPose writes them",
         lambda file: file.first_line.startswith(("{", "[")),
-        "\n    recording = numpy.array(...)  # (n_frames, n_markers, 2), from all files"
-        "\n    pairs = trajectory_pairs([recording.reshape(len(recording), -1)])",
+        """
+    files = sorted(pathlib.Path(file).parent.glob("*.json"))  # one a frame
+    people = [json.loads(name.read_text())["people"] for name in files]
+    recording = numpy.array([p[0]["pose_keypoints_2d"] for p in people])
+    recording = recording.reshape(len(files), -1, 3)[:, :, :2]"""
+        + POSITIONS,
     ),
     Foreign(
         "a table of columns with names",
         _is_table,
-        "\n    table = pandas.read_csv(file, sep=None, engine='python')" + ARRAYS,
+        """
+    table = pandas.read_csv(file, sep=None, engine="python")"""
+        + COLUMNS,
     ),
 )
 
@@ -151,7 +161,9 @@ def describe(file: File) -> str:
     """Say what a file looks like, and how to bring it in."""
     for foreign in FOREIGN:
         if foreign.recognize(file):
-            return f"the file looks like {foreign.name}. Bring it in by{foreign.remedy}"
+            return (
+                f"the file looks like {foreign.name}. Bring it in by:{foreign.remedy}"
+            )
     if not file.data.strip():
         return "the file is empty; export it again."
     is_text = b"\0" not in file.data[:TEXT_TO_LOOK_AT]

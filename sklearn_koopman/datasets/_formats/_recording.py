@@ -9,6 +9,8 @@ from ._text import File, Table, is_number, to_float
 
 # Between a person and the name of a marker.
 PREFIX_END = ":"
+# The unit of a pose in a video, which has no other.
+PIXELS = "px"
 
 
 class Marker(NamedTuple):

@@ -85,6 +85,8 @@ def _markers(head: list[str], axes: list[str]) -> tuple[list[Marker], list[str]]
     if len(places) == 3 * len(names):
         starts = list(range(0, len(places), 3))
     else:  # a column without a name stands where its marker has none
+        # Names beyond the last column are of virtual markers, which are not exported.
+        names = [(i, name) for i, name in names if i <= places[-1]]
         starts = [places.index(i) if i in places else len(places) for i, _ in names]
     labels = [axes[place] for place in places]
     markers = []

@@ -23,24 +23,32 @@ N_HEADER_LINES = 3
 CLOCKS = ("frame", "field")
 
 
+def _name(line: str) -> str:
+    """Return what a line holds but for the delimiters at its ends."""
+    return line.strip(' \t,;"')
+
+
 def _find_section(lines: Sequence[str]) -> int | None:
     """Return the place of the line that begins the positions of the markers."""
-    for place, line in enumerate(lines):
-        if line.strip(' \t,;"').lower() == SECTION:
-            return place
-    return None
+    return next((i for i, x in enumerate(lines) if _name(x).lower() == SECTION), None)
+
+
+def _sections(lines: Sequence[str]) -> list[str]:
+    """Return the names of the sections of a file."""
+    return [
+        name for name in map(_name, lines) if name.lower() in (SECTION, *OTHER_SECTIONS)
+    ]
 
 
 def _is_vicon(file: File) -> bool:
-    first = file.first_line.strip(',;"').strip().lower()
-    return first in (SECTION, *OTHER_SECTIONS)
+    return bool(_sections(file.lines[:1]))
 
 
 def _read(file: File) -> Recording:
     place = _find_section(file.lines)
     if place is None or len(file.lines) <= place + N_HEADER_LINES:
         raise ValueError(
-            f"there is no section 'Trajectories' after {file.first_line[:SHOWN]!r}; "
+            f"the file holds {_sections(file.lines)}, but no section 'Trajectories'; "
             "export the trajectories of the markers, too."
         )
     rate_line, name_line, axis_line = file.lines[place + 1 : place + 4]
