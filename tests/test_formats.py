@@ -680,7 +680,7 @@ def test_the_lines_that_bring_in_other_files_run(write, name, right):
     assert all(form.name in formats for form in FORMATS)
     names = {"file": str(path), **vars(sklearn_koopman.datasets)}
     names |= {"trajectory_pairs": sklearn_koopman.trajectory_pairs}
-    for module in ("numpy", "pandas", "scipy.io"):
+    for module in ("numpy", "pandas", "pathlib", "scipy.io"):
         names[module.partition(".")[0]] = __import__(module)
     exec(textwrap.dedent(lines), names)
     assert_allclose(eval(value, names), right, rtol=1e-14)

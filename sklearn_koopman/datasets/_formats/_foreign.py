@@ -122,8 +122,8 @@ FOREIGN = (
         "BVH, a skeleton and its joint angles",
         _begins("HIERARCHY"),
         """
-    lines = open(file).read().split("Frame Time:")[1].splitlines()
-    angles = numpy.loadtxt(lines[1:], ndmin=2)  # in degrees, as CHANNELS lists them
+    text = pathlib.Path(file).read_text().split("Frame Time:")[1]
+    angles = numpy.loadtxt(text.splitlines()[1:], ndmin=2)  # in degrees, as CHANNELS lists them
     pairs = trajectory_pairs([numpy.unwrap(angles, period=360, axis=0)])""",
     ),
     Foreign("the angles of a skeleton, AMC", _ends(".amc", ".asf"), EXPORT),
@@ -132,7 +132,7 @@ FOREIGN = (
         "OptiTrack's CSV",
         _begins("Format Version"),
         """
-    text = open(file).read()
+    text = pathlib.Path(file).read_text()
     lines = text[text.index("\\nFrame,") :].splitlines()[2:]
     numbers = numpy.genfromtxt(lines, delimiter=",")  # frame, time, X, Y, Z, ...
     pairs = trajectory_pairs([numbers[:, 2:]], gaps="split")""",
