@@ -12,7 +12,7 @@ from .._utils._typing import Array, Mask
 from .._utils._validation import check_choice, check_number
 from ._clock import read_clock
 from ._formats._recording import PREFIX_END, Marker, Recording
-from ._units import IN_MM, find_unit
+from ._units import IN_MM, check_size, spell
 
 FRAMES_TO_MEASURE = 200
 MAX_NAMED = 5  # markers with gaps in a message
@@ -48,14 +48,15 @@ def select_positions(recording: Recording, choices: Choices, where: str) -> Bunc
     """Return the markers that are asked for, with their time and unit."""
     table = recording.table
     chosen = _select(recording.markers, choices.markers, choices.individual)
+    unit = choices.unit or (recording.unit and spell(recording.unit))
     positions = {n: _positions(recording, m, choices) for n, m in chosen.items()}
     time, rate = read_clock(recording, choices.rate)
-    claimed = choices.unit or recording.unit
-    if np.isnan(rate) or claimed is None:
-        _refuse_unsaid(rate, claimed)
+    if np.isnan(rate) or unit is None:
+        _refuse_unsaid(rate, unit)
     if choices.gaps == "raise":
         _refuse_gaps(recording, chosen, positions)
-    unit = choices.unit or find_unit(claimed, _body(recording, choices))
+    if choices.unit is None:
+        check_size(unit, _body(recording, choices))
     likelihood = {
         name: table.read([marker.likelihood])[:, 0]
         for name, marker in chosen.items()

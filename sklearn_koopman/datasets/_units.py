@@ -14,26 +14,31 @@ SPELLED_OUT |= {name.removesuffix("s"): unit for name, unit in SPELLED_OUT.items
 MIN_BODY_SIZE, USUAL_BODY_SIZE, MAX_BODY_SIZE = 200.0, 1000.0, 3000.0
 
 
-def find_unit(claimed: str, cloud: Array) -> str:
-    """Return the unit that a file claims; refuse it if the body has another size.
-
-    The cloud has the shape (n_markers, n_frames, n_axes).
-    """
+def spell(claimed: str) -> str:
+    """Return the short name of the unit that a file claims."""
     name = claimed.lower().replace("metre", "meter")
     unit = SPELLED_OUT.get(name, name)
-    if unit == PIXELS:
-        return unit
-    if unit not in IN_MM:
+    if unit not in (*IN_MM, PIXELS):
         raise ValueError(
             f"the file gives {claimed!r} as its unit, not 'mm', 'cm' or 'm'; pass "
             "unit, which wins over the file."
         )
+    return unit
+
+
+def check_size(unit: str, cloud: Array) -> None:
+    """Refuse a unit of a file in which the body has another size.
+
+    The cloud has the shape (n_markers, n_frames, n_axes). Pixels have no size.
+    """
+    if unit == PIXELS:
+        return
     # Unlike max and min, these ignore NaN.
     extents = np.fmax.reduce(cloud) - np.fmin.reduce(cloud)
     sizes = np.fmax.reduce(extents, axis=1)
     sizes = sizes[sizes > 0]  # frames with several markers
     if not len(sizes):
-        return unit
+        return
     size = float(np.median(sizes))
     is_usual = MIN_BODY_SIZE <= size * IN_MM[unit] <= MAX_BODY_SIZE
     likely = min(IN_MM, key=lambda u: abs(np.log(size * IN_MM[u] / USUAL_BODY_SIZE)))
@@ -42,4 +47,3 @@ def find_unit(claimed: str, cloud: Array) -> str:
             f"the markers of a frame are {size:.3g} apart, like {likely} instead of "
             f"{unit}; pass unit={likely!r}, or unit={unit!r} if the file is right."
         )
-    return unit

@@ -123,7 +123,7 @@ FOREIGN = (
         _begins("HIERARCHY"),
         """
     text = pathlib.Path(file).read_text().split("Frame Time:")[1]
-    angles = numpy.loadtxt(text.splitlines()[1:], ndmin=2)  # in degrees, as CHANNELS lists them
+    angles = numpy.loadtxt(text.splitlines()[1:])  # degrees, in the order of CHANNELS
     pairs = trajectory_pairs([numpy.unwrap(angles, period=360, axis=0)])""",
     ),
     Foreign("the angles of a skeleton, AMC", _ends(".amc", ".asf"), EXPORT),
