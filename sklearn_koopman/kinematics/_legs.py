@@ -30,28 +30,29 @@ def leg_angles(
 ) -> tuple[Array, Array]:
     r"""Hip and knee flexion of one leg, and its ankle relative to the hip.
 
-    The markers are projected onto the sagittal plane spanned by `forward` and `up`.
-    The two angles are the states of the walking example of [1]_ and the ankle is its
-    output.
+    The markers are projected onto the sagittal plane spanned by `forward` and `up`,
+    unless they are planar themselves, as those of one camera are. The two angles are
+    the states of the walking example of [1]_ and the ankle is its output.
 
     Parameters
     ----------
-    hip : array-like of shape (n_frames, 3)
+    hip : array-like of shape (n_frames, 3) or (n_frames, 2)
         Positions of the hip marker, such as the greater trochanter.
-    knee : array-like of shape (n_frames, 3)
+    knee : array-like of shape (n_frames, 3) or (n_frames, 2)
         Positions of the knee marker, in the same frames, axes and unit.
-    ankle : array-like of shape (n_frames, 3)
+    ankle : array-like of shape (n_frames, 3) or (n_frames, 2)
         Positions of the ankle marker, in the same frames, axes and unit.
-    forward : int or array-like of shape (3,)
-        Direction of walking: the number of a column (0, 1 or 2), or a vector of any
+    forward : int or array-like of shape (3,) or (2,)
+        Direction of walking: the number of a column, from 0, or a vector of any
         length, for instance ``[-1, 0, 0]`` for somebody who walks against the first
         axis.
-    up : int or array-like of shape (3,)
-        The vertical, given in the same way; orthogonal to `forward` within 1e-6.
+    up : int or array-like of shape (3,) or (2,)
+        The vertical, given in the same way; orthogonal to `forward` within 1e-6. In an
+        image, whose rows are counted from the top, it is ``[0, -1]``.
     normalize : bool, default=False
-        Whether the ankle is divided by the length of this leg: the mean over all
-        frames of the three-dimensional lengths of thigh and shank, added. It makes
-        the outputs of one person comparable with those of another.
+        Whether the ankle is divided by the length of this leg, which is
+        :func:`leg_length`. It makes the outputs of one person comparable with those of
+        another. Multiply predictions by the length of that other's leg.
 
     Returns
     -------
@@ -69,11 +70,10 @@ def leg_angles(
     Raises
     ------
     ValueError
-        If the markers differ in shape or are not of shape (n_frames, 3); if one holds
-        NaN or infinity, or is masked; if a segment has no length in the sagittal
-        plane; if thigh and shank differ more than tenfold in length, as they do when
-        units are mixed; if `forward` or `up` is no direction, or they are not
-        orthogonal.
+        If the markers differ in shape, or have another one; if one holds NaN or
+        infinity, or is masked; if a segment has no length in the sagittal plane; if
+        thigh and shank differ more than tenfold in length, as they do when units are
+        mixed; if `forward` or `up` is no direction, or they are not orthogonal.
 
     Warns
     -----
@@ -88,6 +88,7 @@ def leg_angles(
     See Also
     --------
     fill_gaps : Fills short gaps in the markers.
+    leg_length : The length that `normalize` divides by.
     sklearn_koopman.datasets.load_markers : Reads markers from a file.
     sklearn_koopman.trajectories.trajectory_pairs : Pairs angles and ankle positions.
 
@@ -137,7 +138,10 @@ def leg_angles(
     array([[ 200. , -746.4]])
     """
     positions = _check_markers(hip=hip, knee=knee, ankle=ankle)
-    axes = np.column_stack([_direction(forward, "forward"), _direction(up, "up")])
+    n_axes = positions.shape[-1]
+    axes = np.column_stack(
+        [_direction(forward, "forward", n_axes), _direction(up, "up", n_axes)]
+    )
     if abs(axes[:, 0] @ axes[:, 1]) > 1e-6:
         raise ValueError(
             f"forward={forward!r} and up={up!r} are not orthogonal; subtract from one "
@@ -145,26 +149,75 @@ def leg_angles(
         )
     segments = np.diff(positions, axis=0)
     planar = segments @ axes
-    lengths = _check_segments(segments, planar)
+    length = _check_segments(segments, planar, "in the plane of forward and up ")
     # In a complex plane whose real axis points straight down.
     thigh, shank = -planar[..., 1] + 1j * planar[..., 0]
     # The sum turns -0.0 into 0.0: a shank folded onto the thigh is at pi, not -pi.
     bend = thigh * shank.conj() + 0.0
     angles = np.column_stack([np.angle(thigh), np.angle(bend)])
     reach = (positions[2] - positions[0]) @ axes
-    _warn_of_headstand(angles, reach / lengths.sum(), up)
-    return angles, reach / lengths.sum() if normalize else reach
+    _warn_of_headstand(angles, reach / length, axes[:, 1], up)
+    return angles, reach / length if normalize else reach
+
+
+def leg_length(hip: ArrayLike, knee: ArrayLike, ankle: ArrayLike) -> float:
+    """Length of one leg: the mean length of its thigh plus that of its shank.
+
+    This is what :func:`leg_angles` divides the ankle by with ``normalize=True``. A
+    normalised ankle times the length of a leg is in the unit of its markers again. So
+    a model of some persons predicts another one, whose leg is as long as this says.
+
+    Parameters
+    ----------
+    hip : array-like of shape (n_frames, 3) or (n_frames, 2)
+        Positions of the hip marker.
+    knee : array-like of shape (n_frames, 3) or (n_frames, 2)
+        Positions of the knee marker, in the same frames, axes and unit.
+    ankle : array-like of shape (n_frames, 3) or (n_frames, 2)
+        Positions of the ankle marker, in the same frames, axes and unit.
+
+    Returns
+    -------
+    length : float
+        Mean distance of knee and hip, plus mean distance of ankle and knee, over all
+        frames, in the unit of the markers.
+
+    Raises
+    ------
+    ValueError
+        If the markers differ in shape, or have another one; if one holds NaN or
+        infinity, or is masked; if a segment has no length in some frame; if thigh and
+        shank differ more than tenfold in length, as they do when units are mixed.
+
+    See Also
+    --------
+    leg_angles : Joint angles, and the ankle in units of this length.
+
+    Examples
+    --------
+    >>> from sklearn_koopman.kinematics import leg_angles, leg_length
+    >>> leg = {"hip": [[0, 900]], "knee": [[0, 500]], "ankle": [[240, 180]]}
+    >>> leg_length(**leg)
+    800.0
+    >>> _, ankle = leg_angles(**leg, forward=0, up=1, normalize=True)
+    >>> ankle
+    array([[ 0.3, -0.9]])
+    >>> ankle * leg_length(**leg)
+    array([[ 240., -720.]])
+    """
+    segments = np.diff(_check_markers(hip=hip, knee=knee, ankle=ankle), axis=0)
+    return _check_segments(segments, segments)
 
 
 def _check_markers(**markers: Any) -> Array:
-    """Validate markers into a finite array of shape (n_markers, n_frames, 3)."""
+    """Validate markers into a finite array of shape (3, n_frames, 2 or 3)."""
     positions = {name: as_floats(marker, name) for name, marker in markers.items()}
     shapes = {name: position.shape for name, position in positions.items()}
     shape = shapes["hip"]
-    if {*shapes.values()} != {shape} or shape[1:] != (3,) or not shape[0]:
+    if {*shapes.values()} != {shape} or shape[1:] not in ((2,), (3,)) or not shape[0]:
         raise ValueError(
-            f"the markers have the shapes {shapes}; give all three of them one shape "
-            "(n_frames, 3), one row of coordinates for each frame."
+            f"the markers have the shapes {shapes}; give all three of them one shape, "
+            "(n_frames, 3) or (n_frames, 2), one row of coordinates for each frame."
         )
     for name, position in positions.items():
         gaps = np.flatnonzero(~np.isfinite(position).all(axis=1))
@@ -177,43 +230,45 @@ def _check_markers(**markers: Any) -> Array:
     return np.array([*positions.values()])
 
 
-def _direction(value: Any, name: str) -> Array:
+def _direction(value: Any, name: str, n_axes: int) -> Array:
     """Return a unit vector from the number of a column or a vector."""
     is_column = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if is_column and 0 <= value < 3:
-        return np.eye(3)[int(value)]
+    if is_column and 0 <= value < n_axes:
+        return np.eye(n_axes)[int(value)]
     vector = as_floats(value, name)
     length = np.linalg.norm(vector)
-    if vector.shape != (3,) or not 0 < length < np.inf:
+    if vector.shape != (n_axes,) or not 0 < length < np.inf:
+        numbers = {2: "0 or 1", 3: "0, 1 or 2"}[n_axes]
         raise ValueError(
-            f"{name}={value!r} is no direction; pass the number of a column (0, 1 or "
-            "2) or a finite vector of 3 components other than zero."
+            f"{name}={value!r} is no direction; pass the number of a column "
+            f"({numbers}) or a finite vector of {n_axes} components other than zero."
         )
     return np.asarray(vector / length)
 
 
-def _check_segments(segments: Array, planar: Array) -> Array:
-    """Return the mean lengths of thigh and shank; refuse implausible ones."""
+def _check_segments(segments: Array, planar: Array, where: str = "") -> float:
+    """Return the mean lengths of thigh and shank, added; refuse implausible ones."""
     lengths = np.linalg.norm(segments, axis=-1).mean(axis=-1)
     is_flat = np.linalg.norm(planar, axis=-1) <= 1e-9 * lengths[:, np.newaxis]
     for segment, frame in np.argwhere(is_flat):
+        name = ("thigh", "shank")[segment]
+        checks = "the markers, forward and up" if where else "the markers"
         raise ValueError(
-            f"the {('thigh', 'shank')[segment]} has no length in the plane of forward "
-            f"and up in frame {frame}; check the markers, forward and up."
+            f"the {name} has no length {where}in frame {frame}; check {checks}."
         )
     if lengths.max() > 10 * lengths.min():
         raise ValueError(
             f"mean thigh length is {lengths[0]:.4g} but mean shank length "
             f"{lengths[1]:.4g}; pass all three markers in the same unit."
         )
-    return lengths
+    return float(lengths.sum())
 
 
-def _warn_of_headstand(angles: Array, reach: Array, up: Any) -> None:
+def _warn_of_headstand(angles: Array, reach: Array, axis: Array, up: Any) -> None:
     """Warn if most frames show a leg that is upside down, or folded."""
     n_inverted = np.count_nonzero(reach[:, 1] > MIN_HEADSTAND)
     if 2 * n_inverted > len(reach):
-        given = np.eye(3)[up] if np.ndim(up) == 0 else as_floats(up, "up")
+        given = axis if np.ndim(up) == 0 else as_floats(up, "up")
         opposite = ", ".join(f"{component:.15g}" for component in 0.0 - given)
         warn(
             f"the leg stands on its head in {n_inverted} of {len(reach)} frames: its "
