@@ -297,8 +297,10 @@ class RotationEncoder(TransformerMixin, BaseEstimator):
             )
         decoded = np.empty((len(encoded), self.n_features_in_))
         decoded[:, rest] = encoded[:, starts[rest]]
-        places = starts[self.angle_columns_]
-        angles, is_lost = _nearest_angles(encoded[:, places], encoded[:, places + 1])
+        places, turn = starts[self.angle_columns_], TURNS[self.unit]
+        angles, is_lost = _nearest_angles(
+            encoded[:, places], encoded[:, places + 1], 2 * self.middles_ / turn
+        )
         decoded[:, self.angle_columns_] = angles
         lost = [is_lost]
         for group in self._groups():
@@ -306,12 +308,8 @@ class RotationEncoder(TransformerMixin, BaseEstimator):
             matrices, is_lost = _nearest_matrices(encoded[:, place : place + 9])
             decoded[:, group] = _from_matrices(matrices, len(group))
             lost.append(is_lost)
-        _warn_of_lost(np.column_stack(lost).any(axis=1))
-        decoded /= self._units()
-        angles, turn = decoded[:, self.angle_columns_], TURNS[self.unit]
-        n_turns = np.round((self.middles_ - angles) / turn)
-        decoded[:, self.angle_columns_] = angles + turn * n_turns
-        return decoded
+        _warn_of_lost(np.column_stack(lost))
+        return decoded / self._units()
 
     def get_feature_names_out(self, input_features: ArrayLike | None = None) -> Any:
         """Name the columns that :meth:`transform` returns.
@@ -511,23 +509,30 @@ def _find_middles(angles: Array, turn: float) -> Array:
     return np.where(least <= largest, half * np.clip(0.0, least, largest), 0.0) + 0.0
 
 
-def _nearest_angles(cosines: Array, sines: Array) -> tuple[Array, Mask]:
+def _nearest_angles(cosines: Array, sines: Array, middles: Array) -> tuple[Array, Mask]:
     """Return the angles of vectors, NaN for those that have no direction.
 
     Parameters
     ----------
     cosines, sines : ndarray of shape (n_samples, n_angles)
         The vectors.
+    middles : ndarray of shape (n_angles,)
+        The middles of the turns in which the angles lie, in half turns.
 
     Returns
     -------
     angles : ndarray of shape (n_samples, n_angles)
-        Their angles in radians, in [-pi, pi].
+        Their angles in radians.
     is_lost : ndarray of shape (n_samples, n_angles)
         Whether a vector has no direction.
     """
     is_lost = np.hypot(cosines, sines) < MIN_DISTINCTNESS
-    return np.where(is_lost, np.nan, np.arctan2(sines, cosines)), is_lost
+    # Half a turn is exact, so that both ends of a turn remain what they were. A sine
+    # of zero is at the end that is nearer to 0: the sum turns -0.0 into 0.0.
+    side = np.where(middles % 2 == 1, -1.0, 1.0)
+    sines = np.where(middles < 0, side * sines + 0.0, side * sines)
+    angles = np.pi * middles + np.arctan2(sines, side * cosines)
+    return np.where(is_lost, np.nan, angles), is_lost
 
 
 def _nearest_matrices(entries: Array) -> tuple[Array, Mask]:
@@ -622,12 +627,12 @@ def _find_nan(rows: Array) -> Mask:
 
 
 def _warn_of_lost(is_lost: Mask) -> None:
-    """Warn of rows that tell no rotation."""
-    if is_lost.any():
+    """Warn of rows with angles or rotations that cannot be told."""
+    rows = np.flatnonzero(is_lost.any(axis=1))
+    if len(rows):
         warn(
-            f"{is_lost.sum()} of {len(is_lost)} rows tell no rotation, first row "
-            f"{is_lost.argmax()}: their entries are (nearly) zero, or equally near to "
-            "several rotations. They become NaN. If they are predictions, they are far "
-            "from what was learned: fit to motion that reaches there, or leave them "
-            "out."
+            f"{len(rows)} of {len(is_lost)} rows tell no rotation, the first is row "
+            f"{rows[0]}; they become NaN. Their entries are (nearly) zero, or as near "
+            "to one rotation as to others, like predictions far from all training "
+            "data. Fit to motion that reaches there, or leave these rows out."
         )
