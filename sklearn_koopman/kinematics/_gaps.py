@@ -148,6 +148,7 @@ def unwrap_angles(angles: Any, *, period: float) -> Any:
 
     See Also
     --------
+    RotationEncoder : Cosine and sine of angles that turn on and on.
     fill_gaps : Fills gaps; angles that wrap have to be unwrapped before.
     numpy.unwrap : The same without gaps; it loses all that follows a NaN.
 

@@ -30,12 +30,13 @@ ENTRIES = [f"r{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)]
 class RotationEncoder(TransformerMixin, BaseEstimator):
     r"""Encode angles by cosine and sine, and rotations by their matrices.
 
-    An angle lives on a circle and a rotation in SO(3), which numbers in a row do not
-    show: 359 and 1 degrees are near each other, and so are the quaternions q and -q.
-    The map from states to outputs jumps where numbers do, and kernels estimate
-    continuous functions. Cosine and sine, and the entries of a rotation matrix, change
-    as little as the rotation does. Columns that are named neither as angles nor
-    otherwise pass through.
+    An angle lives on a circle and a rotation in SO(3). Numbers in a row do not show
+    that: 359 and 1 degrees are near each other, and the quaternions q and -q are one
+    rotation. So the map from numbers to outputs jumps where the numbers do, and a
+    kernel estimates continuous functions. Cosine and sine, and the entries of a
+    rotation matrix, change as little as the rotation does: they are the embedding of
+    the circles and copies of SO(3) that [1]_ describes a body by. Columns that hold
+    neither angles nor rotations pass through.
 
     Used on states, this stands in a pipeline in front of an estimator. Used on
     outputs, it is the `transformer` of a
@@ -92,20 +93,19 @@ class RotationEncoder(TransformerMixin, BaseEstimator):
     vector at the place of its leftmost one.
 
     Predictions lie near the circle and near SO(3), but not on them. The way back takes
-    the nearest point. An angle is that of the vector (c, s) predicted. With the
-    singular value decomposition :math:`U \Sigma V^T` of the matrix predicted, the
-    rotation nearest to it, in the Frobenius norm, is
-    :math:`U \operatorname{diag}(1, 1, \det U V^T)\, V^T` [3]_. This is the mean
-    direction of [2]_, and its counterpart for rotations.
+    the nearest point, as means of directions and of rotations do [2]_. An angle is
+    that of the vector (c, s) predicted. With the singular value decomposition
+    :math:`U \Sigma V^T` of the matrix predicted, the rotation nearest to it in the
+    Frobenius norm is :math:`U \operatorname{diag}(1, 1, \det U V^T)\, V^T` [3]_.
 
     Angles come back between -180 and 180 degrees if all those of `fit` lie there. If
-    they lie between 0 and 360, or in another turn that begins at a multiple of 180,
-    they come back in the one of these that is nearest to 0. If they exceed any single
-    turn, as unwrapped angles do, they come back between -180 and 180 degrees. This is
-    where `TransformedTargetRegressor` warns that the transformer is not its own
-    inverse, and ``check_inverse=False`` is right. So it is for quaternions, which come
-    back with w of at least 0, where w is negative, and for rotation vectors longer
-    than half a turn.
+    they lie in another turn that begins at a multiple of 180 degrees, such as from 0
+    to 360, they come back there. If no such turn holds them all, as with unwrapped
+    angles, they come back between -180 and 180 degrees, whole turns away from those of
+    `fit`. Then `TransformedTargetRegressor` warns that the transformer is not its own
+    inverse, and ``check_inverse=False`` is right. So it is for quaternions with
+    negative w, which come back as -q, and for rotation vectors longer than half a
+    turn.
 
     `TransformedTargetRegressor` turns a DataFrame of outputs into an array before it
     calls the transformer. Give columns by their numbers then, and not by names.
@@ -157,8 +157,8 @@ class RotationEncoder(TransformerMixin, BaseEstimator):
     ...     make_pipeline(RotationEncoder(unit="degrees"), KoopmanKernelRegressor()),
     ...     transformer=RotationEncoder(unit="degrees"),
     ... ).fit(crank[:-1], crank[1:])
-    >>> model.predict([[300.0], [340.0]]).round(3)
-    array([[350.], [ 30.]])
+    >>> model.predict([[305.0], [345.0]]).round(1)
+    array([[355.], [ 35.]])
     """
 
     # A pickle names this class, and what it names is to stay where it is.
