@@ -570,6 +570,7 @@ def test_map_of_the_torus():
     for which in ("neither", "outputs", "both"):
         model = learn("matern52", states[:-1], states[1:], RotationEncoder(), which)
         errors[which] = rms(around(model.predict(X) - step(X)))
+    # Measured: 0.45, 1.7e-4 and 3.0e-7 rad.
     assert errors["neither"] > 0.1
     assert errors["outputs"] > 3e-5
     assert errors["both"] < 2e-6
@@ -610,7 +611,7 @@ def test_map_of_rotations():
     assert error(predicted) > 0.3
     outputs = learn("matern52", euler, after.as_quat(), encoder, "outputs")
     both = learn("matern52", now.as_quat(), after.as_quat(), encoder, "both")
-    # Measured: 1.2e-2 and 2.1e-4 rad.
+    # Measured: 9.9e-3 and 1.4e-4 rad.
     assert error(outputs.predict(new_euler)) > 5e-3
     assert error(both.predict(new.as_quat())) < 4.1e-4
 
