@@ -148,7 +148,7 @@ of them, default=None
     UserWarning
         If columns hold angles that wrap at 360 degrees or 2 pi: unwrap them by
         :func:`~sklearn_koopman.kinematics.unwrap_angles`, since the jumps are no
-        motion.
+        motion, or encode them by :class:`~sklearn_koopman.kinematics.RotationEncoder`.
 
     See Also
     --------

@@ -21,6 +21,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_koopman import KernelEDMD, KoopmanKernelRegressor, SeparatedCenterSelector
 from sklearn_koopman.kernels import KERNELS, Wendland
+from sklearn_koopman.kinematics import RotationEncoder
 
 
 class OnDistances(RegressorMixin, BaseEstimator):
@@ -55,6 +56,13 @@ SELECTORS = [
     SeparatedCenterSelector(),
     SeparatedCenterSelector(0.5),
     SeparatedCenterSelector(0.0, order="farthest", max_centers=3),
+]
+# Quaternions are of length 1, which the data of the checks are not.
+ENCODERS = [
+    RotationEncoder(),
+    RotationEncoder([0], unit="degrees"),
+    RotationEncoder([]),
+    RotationEncoder(rotation_vectors=[0, 1, 2]),
 ]
 # Every option of every estimator once. The checks are of the interface, which depends
 # on the forms that fitted attributes have, and hardly on numbers.
@@ -135,7 +143,8 @@ def expected_failed_checks(estimator):
 
 
 @parametrize_with_checks(
-    [*SELECTORS, *REGRESSORS, *OPERATORS], expected_failed_checks=expected_failed_checks
+    [*SELECTORS, *ENCODERS[:3], *REGRESSORS, *OPERATORS],
+    expected_failed_checks=expected_failed_checks,
 )
 def test_scikit_learn_check(estimator, check):
     check(estimator)
@@ -148,7 +157,7 @@ def test_scikit_learn_check_of_pairs_of_options(estimator, check):
 
 
 @pytest.mark.parametrize(
-    "estimator", [SELECTORS[0], REGRESSORS[1], REGRESSORS[6], OPERATORS[0]]
+    "estimator", [SELECTORS[0], ENCODERS[0], REGRESSORS[1], REGRESSORS[6], OPERATORS[0]]
 )
 def test_column_names(estimator):
     check_dataframe_column_names_consistency("name", estimator)
@@ -167,6 +176,6 @@ def test_column_names(estimator):
         check_global_output_transform_pandas,
     ],
 )
-@pytest.mark.parametrize("estimator", SELECTORS)
+@pytest.mark.parametrize("estimator", [*SELECTORS, *ENCODERS])
 def test_transformer_check(estimator, check):
     check("name", estimator)

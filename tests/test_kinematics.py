@@ -5,8 +5,9 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from sklearn_koopman import KoopmanKernelRegressor, SeparatedCenterSelector
 from sklearn_koopman.datasets import make_walking
-from sklearn_koopman.kinematics import fill_gaps, leg_angles, unwrap_angles
+from sklearn_koopman.kinematics import fill_gaps, leg_angles, leg_length, unwrap_angles
 from sklearn_koopman.trajectories import trajectory_pairs
 
 
@@ -156,6 +157,102 @@ def test_input_is_left_alone_and_lists_will_do(walk):
     found = leg_angles(*(m.tolist() for m in walk), forward=0, up=1)
     for one, other in zip(expected, found, strict=True):
         assert_array_equal(one, other)
+
+
+# --- planar markers, and the length of a leg ----------------------------------------
+
+
+def test_planar_markers_are_those_with_a_third_column_of_zeros(walk):
+    flat = [marker[:, :2] for marker in walk]
+    solid = [np.pad(marker, [(0, 0), (0, 1)]) for marker in flat]
+    for forward, up in ((0, 1), (1, 0), ([-1, 0], [0, 2]), ([3, 4], [-4, 3])):
+        axes, more = ({"forward": forward, "up": up} for _ in range(2))
+        for name in ("forward", "up"):
+            if np.ndim(axes[name]):
+                more[name] = [*axes[name], 0]
+        for normalize in (False, True):
+            for one, other in zip(
+                leg_angles(*flat, **axes, normalize=normalize),
+                leg_angles(*solid, **more, normalize=normalize),
+                strict=True,
+            ):
+                assert_allclose(one, other, rtol=1e-14)
+    assert leg_length(*flat) == leg_length(*solid)
+
+
+def test_image_whose_rows_are_counted_from_the_top(walk):
+    """A camera of 2 mm a pixel that looks at the left side of somebody."""
+    expected, ankle = leg_angles(*(marker[:, :2] for marker in walk), forward=0, up=1)
+    pixels = [np.array([900, 800]) - marker[:, :2] / 2 for marker in walk]
+    angles, reach = leg_angles(*pixels, forward=[-1, 0], up=[0, -1])
+    assert_allclose(angles, expected, rtol=0, atol=1e-12)
+    assert_allclose(2 * reach, ankle, rtol=0, atol=1e-9)
+    with pytest.warns(UserWarning, match=r"on its head .* pass up=\[0, -1\]"):
+        leg_angles(*pixels, forward=[-1, 0], up=1)
+
+
+@pytest.mark.parametrize("n_axes", [2, 3])
+def test_length_is_what_normalize_divides_by(walk, n_axes):
+    markers = [marker[:, :n_axes] for marker in walk]
+    _, raw = leg_angles(*markers, forward=0, up=1)
+    _, scaled = leg_angles(*markers, forward=0, up=1, normalize=True)
+    length = leg_length(*markers)
+    assert type(length) is float
+    assert_allclose(scaled * length, raw, rtol=1e-14)
+    segments = np.linalg.norm(np.diff(markers, axis=0), axis=-1)
+    assert_allclose(length, segments.mean(axis=1).sum(), rtol=1e-14)
+    # In metres, the length is in metres.
+    assert_allclose(leg_length(*(m / 1000 for m in markers)), length / 1000)
+
+
+def test_length_of_a_leg_in_any_direction():
+    hip, knee, ankle = [[0, 0, 9], [0, 0, 0]], [[0, 3, 5], [3, 4, 0]], np.zeros((2, 3))
+    ankle[0], ankle[1] = [0, 3, 11], [3, 4, 8]
+    assert leg_length(hip, knee, ankle) == 5 + 7
+
+
+def person(thigh, shank, seed):
+    """Markers [mm] of somebody of this size who walks at two speeds."""
+    walking = make_walking(speeds=[0.9, 1.2], n_strides=6, random_state=seed)
+    trials = []
+    for angles, markers in zip(walking.trajectories, walking.markers, strict=True):
+        first, second = angles[:, 0], angles[:, 0] - angles[:, 1]
+        down = [
+            np.column_stack([np.sin(angle), -np.cos(angle), 0 * angle])
+            for angle in (first, second)
+        ]
+        hip = markers["hip"]
+        knee = hip + thigh * down[0]
+        trials.append((hip, knee, knee + shank * down[1]))
+    return trials
+
+
+def test_ankle_of_a_person_never_seen_in_mm():
+    """A child, after adults whose shanks are a little shorter or longer."""
+    adults = [(420, 425, 0), (465, 480, 1), (390, 385, 2)]
+    child = person(300, 305, 3)
+    errors = {}
+    for normalize in (True, False):
+        options = {"forward": 0, "up": 1, "normalize": normalize}
+        legs = [leg_angles(*m, **options) for a in adults for m in person(*a)]
+        new = [leg_angles(*markers, **options) for markers in child]
+        pairs = trajectory_pairs(*zip(*legs, strict=True), delays=3)
+        model = KoopmanKernelRegressor(
+            "matern52",
+            centers=SeparatedCenterSelector(0.1),
+            method="least_squares",
+            alpha=1e-6,
+            trend="linear",
+        ).fit(pairs.X, pairs.y)
+        others = trajectory_pairs(*zip(*new, strict=True), delays=3)
+        lengths = np.array([leg_length(*markers) for markers in child])
+        assert_allclose(lengths, 605, rtol=1e-12)
+        unit = lengths[others.groups][:, np.newaxis] if normalize else 1.0
+        error = unit * (model.predict(others.X) - others.y)
+        errors[normalize] = np.sqrt((error**2).sum(axis=1).mean())
+    # Measured: 0.91 and 243 mm.
+    assert errors[True] < 2
+    assert errors[False] > 100
 
 
 # --- legs that stand on their head --------------------------------------------------
@@ -687,6 +784,39 @@ def test_bad_markers(walk, change, message):
 def test_bad_axes(walk, axes, message):
     with pytest.raises(ValueError, match=message):
         leg_angles(*walk, **axes)
+
+
+@pytest.mark.parametrize(
+    ("axes", "message"),
+    [
+        ({"forward": 2, "up": 1}, r"forward=2 is no direction; .*\(0 or 1\).* 2 compo"),
+        ({"forward": [1, 0, 0], "up": 1}, r"forward=\[1, 0, 0\] is no direction"),
+        ({"forward": 1, "up": 1}, "not orthogonal"),
+    ],
+)
+def test_bad_axes_of_planar_markers(walk, axes, message):
+    with pytest.raises(ValueError, match=message):
+        leg_angles(*(marker[:, :2] for marker in walk), **axes)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (_with("knee", (3, 1), np.nan), r"knee holds NaN .* 1 of 200 .* frame 3"),
+        (lambda m: m.update(hip=m["hip"][:, :2]), r"'hip': \(200, 2\), .* \(200, 3\)"),
+        (lambda m: {m.update({k: m[k][:, :1]}) for k in m}, r"'hip': \(200, 1\)"),
+        (lambda m: m.update(ankle=m["ankle"] * 100), r"thigh length is .* unit"),
+        (
+            lambda m: m["ankle"].__setitem__(5, m["knee"][5]),
+            "the shank has no length in frame 5; check the markers.$",
+        ),
+    ],
+)
+def test_length_of_bad_markers(walk, change, message):
+    markers = dict(zip(("hip", "knee", "ankle"), walk, strict=True))
+    change(markers)
+    with pytest.raises(ValueError, match=message):
+        leg_length(**markers)
 
 
 def test_nearly_orthogonal_axes_pass(walk):

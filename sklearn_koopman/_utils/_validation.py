@@ -13,6 +13,16 @@ from ._typing import Array
 MIN_MAGNITUDE, MAX_MAGNITUDE = 1e-150, 1e150
 
 
+def as_floats(value: Any, name: str) -> Array:
+    """Convert to floats, masked values to NaN; name the parameter that cannot be."""
+    try:
+        if hasattr(value, "iloc"):  # NumPy does not convert pandas' missing values
+            value = value.astype(np.float64)
+        return np.ma.filled(np.ma.asarray(value, dtype=np.float64), np.nan)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be an array of numbers: {error}.") from error
+
+
 def check_number(value: Any, name: str, *, positive: bool = False) -> None:
     """Refuse anything but a finite number of at least zero, or above zero."""
     is_number = isinstance(value, Real) and not isinstance(value, bool)

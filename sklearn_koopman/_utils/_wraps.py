@@ -85,5 +85,6 @@ def warn_of_wraps(found: dict[str, dict[str, float]]) -> None:
     warn(
         f"{label}{others} jumps by almost a full turn in column {columns}: these "
         "angles wrap, and the jumps are no motion. Unwrap them by "
-        f"kinematics.unwrap_angles(..., period={period}), before gaps are filled."
+        f"kinematics.unwrap_angles(..., period={period}), before gaps are filled; or "
+        "encode angles that turn on and on by kinematics.RotationEncoder."
     )
