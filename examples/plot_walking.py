@@ -5,18 +5,25 @@ Predict an ankle from the angles of a leg
 
 Where will the ankle be in a tenth of a second? The states are the hip and knee
 flexion of a walking person, the output is the position of the ankle relative to the
-hip. Scale, separation and kernel of the estimate are searched for by leaving out one
-stride at a time, and the model is then tried on strides that the search never saw.
+hip. Scale, separation and kernel of the estimate are searched for by leaving out parts
+of the recordings, and the model is then tried on a part that the search never saw.
 
 By default this reads the overground trial of a healthy adult that the package
 `gaitkit` carries (subject 1 of Fukuchi, Fukuchi and Duarte 2018, CC BY 4.0). Your own
-marker file goes the same way::
+files go the same way, in any format of `load_markers`. The markers are found by their
+names where these are usual ones, and the axes by how a leg stands and bends::
 
-    python examples/plot_walking.py --data trial.trc --hip R.GTR --knee R.Knee \
---ankle R.Ankle
+    python examples/plot_walking.py --data trial.trc
+    python examples/plot_walking.py --data *.c3d --hip RGT --knee RKNE --ankle RANK
+    python examples/plot_walking.py --data a1.csv a2.csv b1.csv --person A A B --rate 60
+
+What is left out is the last stride of one file, the last one of several files, or the
+last one of several persons. Persons differ in size: their ankles are then learned as
+parts of the length of the leg, and predictions are multiplied by the length again.
 """
 
 import argparse
+import re
 
 import matplotlib
 
@@ -35,46 +42,41 @@ from sklearn_koopman import (
     trajectory_pairs,
 )
 from sklearn_koopman.datasets import load_markers
-from sklearn_koopman.kinematics import leg_angles
+from sklearn_koopman.kinematics import fill_gaps, leg_angles, leg_length
 
 JOINTS = ("hip", "knee", "ankle")
+SIDES = ("r(ight)?", "l(eft)?")
+# Usual names of the markers without the side.
+USUAL = {
+    "hip": "gtr?|hip|hjc|(greater_?)?trochanter",
+    "knee": "knee?|kjc|lfc|lateral_?knee",
+    "ankle": "ankl?e?|ajc|lm|lateral_?ankle",
+}
+MAX_GAP = 0.1  # seconds
+MAX_FOLDS = 6
+IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "px": 1.0}
 
 
 def read_arguments(arguments=None):
     parser = argparse.ArgumentParser(
         description="Predict where the ankle will be, from hip and knee flexion."
     )
-    parser.add_argument("--data", help="marker file: tab-separated text or .trc")
-    parser.add_argument(
-        "--rate",
-        type=float,
-        default=150.0,
-        help="frames per second of a tab-separated file (default: %(default)s)",
-    )
+    parser.add_argument("--data", nargs="+", help="files of markers, of any format")
+    parser.add_argument("--person", nargs="+", help="who walks, a name for each file")
+    parser.add_argument("--rate", type=float, help="frames per second, if not in them")
     parser.add_argument("--unit", choices=["mm", "cm", "m"], help="unit of the markers")
-    for joint, names in (
-        ("hip", ["R.GTR", "L.GTR"]),
-        ("knee", ["R.Knee", "L.Knee"]),
-        ("ankle", ["R.Ankle", "L.Ankle"]),
-    ):
+    parser.add_argument("--individual", help="who is read, if files hold several")
+    parser.add_argument(
+        "--min-likelihood", type=float, help="smallest likelihood of a position"
+    )
+    for joint in JOINTS:
         parser.add_argument(
-            f"--{joint}",
-            nargs="+",
-            default=names,
-            help=f"{joint} markers in the file, one a leg (default: %(default)s)",
+            f"--{joint}", nargs="+", help=f"{joint} markers in the files, one a leg"
         )
     parser.add_argument(
-        "--forward",
-        type=int,
-        default=0,
-        help="column of the direction of walking (default: %(default)s)",
+        "--forward", help="axis of walking, as in --forward=-x (default: found)"
     )
-    parser.add_argument(
-        "--up",
-        type=int,
-        default=1,
-        help="column of the vertical (default: %(default)s)",
-    )
+    parser.add_argument("--up", help="axis that points up, such as z (default: found)")
     parser.add_argument(
         "--ahead",
         type=float,
@@ -85,49 +87,106 @@ def read_arguments(arguments=None):
         "--pieces",
         type=int,
         default=3,
-        help="into how many pieces to cut the recording of each leg, the last of "
-        "which is held out; about a stride each is best (default: %(default)s)",
+        help="into how many pieces to cut the recording of each leg; about a stride "
+        "each is best (default: %(default)s)",
     )
     parser.add_argument(
         "--figure", default="walking.png", help="where to save (default: %(default)s)"
     )
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    if options.person and len(options.person) != len(options.data or []):
+        parser.error("name one --person for each file of --data")
+    given = [getattr(options, joint) for joint in JOINTS]
+    if any(given) and len({len(names or []) for names in given}) > 1:
+        parser.error("name one --hip, one --knee and one --ankle for each leg")
+    return options
+
+
+def read_trials(options):
+    """Return the markers, the frame rate and the unit of each file."""
+    if options.data:
+        trials = [
+            load_markers(
+                file,
+                rate=options.rate,
+                unit=options.unit,
+                gaps="nan",
+                min_likelihood=options.min_likelihood,
+                individual=options.individual,
+            )
+            for file in options.data
+        ]
+        return [(trial.markers, trial.rate, trial.unit) for trial in trials]
+    import gaitkit
+
+    trial = gaitkit.load_example("healthy")
+    print(f"{trial['description']} ({trial['source']})")
+    frames = [frame["landmark_positions"] for frame in trial["angle_frames"]]
+    markers = {name: np.array([frame[name] for frame in frames]) for name in frames[0]}
+    return [(markers, float(trial["fps"]), "mm")]
+
+
+def find_joints(names, options):
+    """Return the names of the hip, knee and ankle of each leg; ask if they hide."""
+    if options.hip:
+        return list(zip(options.hip, options.knee, options.ankle, strict=True))
+    legs = []
+    for side in (*SIDES, ""):
+        leg = [
+            [n for n in names if re.fullmatch(pattern, n, re.IGNORECASE)]
+            for usual in USUAL.values()
+            for pattern in [f"{side}[ ._-]?({usual})|({usual})[ ._-]?{side}"]
+        ]
+        if all(len(found) == 1 for found in leg):
+            legs.append([name for found in leg for name in found])
+    if not legs:
+        raise SystemExit(
+            "Which markers are hip, knee and ankle? Name them by --hip, --knee and "
+            f"--ankle, one for each leg. There are {', '.join(names)}."
+        )
+    return legs
+
+
+def find_axes(hip, ankle, options):
+    """Return the directions forward (or backward) and up."""
+    axes = np.eye(hip.shape[1])
+    signed = {
+        f"{s}{n}": k * a
+        for s, k in (("", 1), ("-", -1))
+        for n, a in zip("xyz", axes, strict=False)
+    }
+    leg = (hip - ankle).mean(axis=0)
+    highest = np.abs(leg).argmax()  # a hip is above its ankle
+    up = signed[options.up] if options.up else np.sign(leg[highest]) * axes[highest]
+    swing = (hip - ankle).std(axis=0) * (up == 0)
+    return signed[options.forward] if options.forward else axes[swing.argmax()], up
 
 
 def read_legs(options):
-    """Return the markers of each leg in mm, and the frame rate."""
-    if options.data is None:
-        import gaitkit
+    """Return the recordings of the legs, and the unit of their ankles.
 
-        trial = gaitkit.load_example("healthy")
-        print(f"{trial['description']} ({trial['source']})")
-        frames = [frame["landmark_positions"] for frame in trial["angle_frames"]]
-        legs = [
-            {
-                joint: np.array([f[f"{side}_{joint}"] for f in frames])
-                for joint in JOINTS
-            }
-            for side in ("right", "left")
-        ]
-        return legs, float(trial["fps"])
-    names = [getattr(options, joint) for joint in JOINTS]
-    if len({len(of_joint) for of_joint in names}) > 1:
-        raise SystemExit("Name one hip, one knee and one ankle marker for each leg.")
-    recording = load_markers(
-        options.data,
-        markers=[n for of_joint in names for n in of_joint],
-        rate=options.rate,
-        unit=options.unit,
-    )
-    in_mm = {"mm": 1.0, "cm": 10.0, "m": 1000.0}[recording.unit]
-    legs = [
-        {
-            joint: in_mm * recording.markers[n]
-            for joint, n in zip(JOINTS, leg, strict=True)
-        }
-        for leg in zip(*names, strict=True)
-    ]
-    return legs, recording.rate
+    A recording has angles, ankle, the length of the leg, the file and the rate.
+    """
+    legs = []
+    trials = read_trials(options)
+    if len({unit == "px" for *_, unit in trials}) > 1:
+        raise SystemExit("Some files are in pixels, others are not; take one kind.")
+    for number, (markers, rate, unit) in enumerate(trials):
+        for names in find_joints([*markers], options):
+            leg = {n: IN_MM[unit] * markers[n] for n in names}
+            filled, _ = fill_gaps(leg, max_gap=max(round(MAX_GAP * rate), 1))
+            joints = np.stack([*filled.values()])
+            seen = ~np.isnan(joints).any(axis=(0, 2))
+            forward, up = find_axes(joints[0, seen], joints[2, seen], options)
+            angles, ankle = np.full((2, len(seen), 2), np.nan)
+            angles[seen], ankle[seen] = leg_angles(
+                *joints[:, seen], forward=forward, up=up
+            )
+            if not options.forward and np.nanmedian(angles[:, 1]) < 0:
+                # Knees bend backward: it was the other way.
+                angles, ankle = -angles, ankle * [-1, 1]
+            legs.append((angles, ankle, leg_length(*joints[:, seen]), number, rate))
+    return legs, "px" if unit == "px" else "mm"
 
 
 def rms(error):
@@ -137,31 +196,53 @@ def rms(error):
 
 def main(arguments=None):
     options = read_arguments(arguments)
-    legs, rate = read_legs(options)
+    legs, unit = read_legs(options)
+    n_files = 1 + max(number for *_, number, _ in legs)
+    persons = options.person or ["one"] * n_files
+    has_persons = len(set(persons)) > 1
+    kind = "person" if has_persons else "trial" if n_files > 1 else "stride"
+    rate = min(leg[-1] for leg in legs)
     lag = max(round(options.ahead * rate), 1)
 
     # Each piece of each leg is a trajectory of its own: no pair reaches from one into
-    # the next. The last piece of each leg is kept for the test.
-    angles, ankles, held_out = [], [], []
-    for leg in legs:
-        state, ankle = leg_angles(**leg, forward=options.forward, up=options.up)
-        for number, piece in enumerate(
+    # the next. The last person, file or piece is kept for the test.
+    angles, ankles, lengths, rates, units = [], [], [], [], []
+    for state, ankle, length, number, of_leg in legs:
+        for piece, rows in enumerate(
             np.array_split(np.arange(len(state)), options.pieces)
         ):
-            angles.append(state[piece])
-            ankles.append(ankle[piece])
-            held_out.append(number == options.pieces - 1)
+            angles.append(state[rows])
+            ankles.append(ankle[rows] / (length if has_persons else 1.0))
+            lengths.append(length if has_persons else 1.0)
+            rates.append(of_leg)
+            units.append(
+                persons[number] if has_persons else number if n_files > 1 else piece
+            )
 
     # Two angles are the same in swing and in stance; their past distinguishes these.
     step = max(round(rate / 30), 1)
-    pairs = trajectory_pairs(angles, ankles, lag=lag, delays=3, delay_step=step)
-    test = np.array(held_out)[pairs.groups]
+    settings = {
+        "lag": lag,
+        "delays": 3,
+        "delay_step": step,
+        "gaps": "split",
+        "rates": rates,
+        "resample": rate if len(set(rates)) > 1 else None,
+    }
+    pairs = trajectory_pairs(angles, ankles, **settings)
+    is_test = np.array([unit == units[-1] for unit in units])
+    test = is_test[pairs.groups]
     train = ~test
     print(
         f"{len(angles)} trajectories of {len(legs)} legs at {rate:g} Hz; "
         f"{train.sum()} pairs to learn from, {test.sum()} to test; "
         f"the ankle {1000 * lag / rate:.0f} ms ahead"
     )
+    # The search leaves out one person, file or piece at a time, of those that remain.
+    numbers = np.unique(units, return_inverse=True)[1]
+    left_out = numbers[pairs.groups[train]]
+    if len(np.unique(left_out)) < 2:
+        left_out = pairs.groups[train]
 
     model = Pipeline(
         [
@@ -184,27 +265,31 @@ def main(arguments=None):
             "koopman__beta": [3.0, 10.0, 30.0],
         },
         scoring="neg_root_mean_squared_error",
-        cv=TrajectoryKFold(len(np.unique(pairs.groups[train]))),
+        cv=TrajectoryKFold(min(len(np.unique(left_out)), MAX_FOLDS)),
         n_jobs=2,
         verbose=1,
     )
-    search.fit(pairs.X[train], pairs.y[train], groups=pairs.groups[train])
+    search.fit(pairs.X[train], pairs.y[train], groups=left_out)
     best = search.best_estimator_["koopman"]
     print(
         f"best: {best.kernel_!r} on {len(best.centers_)} centres, "
         f"separation {best.centers.separation:g} (scaled)"
     )
 
-    now = trajectory_pairs(ankles, lag=lag, delays=3, delay_step=step).X[:, :2]
-    predicted = search.predict(pairs.X[test])
-    error, persistence = rms(predicted - pairs.y[test]), rms(now[test] - pairs.y[test])
-    print(f"held-out error, persistence:  {persistence:7.2f} mm (the ankle stays)")
-    print(f"held-out error, this model:   {error:7.2f} mm")
-    plot(pairs, test, now, search, error, persistence, lag / rate, rate, options.figure)
+    # The first trajectory that was held out, and all of them, in the unit of the file.
+    size = np.array(lengths)[pairs.groups, np.newaxis]
+    now = size * trajectory_pairs(ankles, **settings).X[:, :2]
+    came = size * pairs.y
+    predicted = size[test] * search.predict(pairs.X[test])
+    error, stays = rms(predicted - came[test]), rms(now[test] - came[test])
+    print(f"held-out error, persistence:  {stays:7.2f} {unit} (the ankle stays)")
+    print(f"held-out error, this model:   {error:7.2f} {unit}")
+    title = (kind, f"rms {error:.1f} {unit} (persistence {stays:.1f} {unit})")
+    plot(pairs, test, size, now, search, lag / rate, title, unit, options.figure)
     print(f"figure saved as {options.figure}")
 
 
-def plot(pairs, test, now, search, error, persistence, ahead, rate, figure):
+def plot(pairs, test, size, now, search, ahead, title, unit, figure):
     scaler, koopman = search.best_estimator_["scale"], search.best_estimator_["koopman"]
     centers = scaler.inverse_transform(koopman.centers_)
     fig, (left, *panels) = plt.subplots(
@@ -226,7 +311,8 @@ def plot(pairs, test, now, search, error, persistence, ahead, rate, figure):
     # The first trajectory that was held out, over time.
     first = pairs.groups == pairs.groups[test].min()
     mean, std = search.best_estimator_.predict(pairs.X[first], return_std=True)
-    time = np.arange(first.sum()) / rate + ahead
+    mean, std, came = (size[first] * part for part in (mean, std, pairs.y[first]))
+    time = pairs.time[first] + ahead
     for axis, (ax, name) in enumerate(zip(panels, ("forward", "up"), strict=True)):
         ax.fill_between(
             time,
@@ -238,12 +324,12 @@ def plot(pairs, test, now, search, error, persistence, ahead, rate, figure):
             label="±2 standard deviations",
         )
         ax.plot(time, now[first, axis], ":", color="0.5", label="persistence")
-        ax.plot(time, pairs.y[first, axis], color="k", label="measured")
+        ax.plot(time, came[:, axis], color="k", label="measured")
         ax.plot(time, mean[:, axis], "--", color="#D55E00", label="predicted")
-        ax.set(xlabel="time [s]", ylabel=f"ankle {name} of hip [mm]")
-    panels[0].set_title(f"Held-out stride, {1000 * ahead:.0f} ms ahead")
-    panels[1].set_title(f"rms {error:.1f} mm (persistence {persistence:.1f} mm)")
-    panels[1].set_ylabel("ankle above hip [mm]")
+        ax.set(xlabel="time [s]", ylabel=f"ankle {name} of hip [{unit}]")
+    panels[0].set_title(f"Held-out {title[0]}, {1000 * ahead:.0f} ms ahead")
+    panels[1].set_title(title[1])
+    panels[1].set_ylabel(f"ankle above hip [{unit}]")
     handles, labels = panels[0].get_legend_handles_labels()
     fig.legend(handles, labels, loc="outside lower right", ncols=4, frameon=False)
     fig.savefig(figure, dpi=120)

@@ -50,7 +50,10 @@ class OnDistances(RegressorMixin, BaseEstimator):
 
 
 # Narrow kernels keep all matrices regular, but do not reach all states of the checks.
-pytestmark = pytest.mark.filterwarnings("ignore::sklearn_koopman.ExtrapolationWarning")
+# The data of the checks are neither scaled nor angles.
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::sklearn_koopman.ExtrapolationWarning", "ignore:angles of X reach"
+)
 
 SELECTORS = [
     SeparatedCenterSelector(),

@@ -5,11 +5,29 @@ from pathlib import Path
 
 import numpy as np
 
+from sklearn_koopman.datasets import make_walking
+
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 
 
-def test_the_main_job_runs_as_printed():
+def write_walks(folder):
+    """Write three synthetic trials as files of the tab-separated format."""
+    folder.mkdir()
+    walks = make_walking(3, n_strides=4, rate=100.0, random_state=0)
+    for number, markers in enumerate(walks.markers):
+        stamps = np.arange(len(markers["hip"])) / walks.rate
+        rows = np.column_stack([stamps, *markers.values()])
+        labels = [f"{name.title()}{axis}" for name in markers for axis in "XYZ"]
+        head = "\t".join(["Time", *labels])
+        path = folder / f"{number}.txt"
+        np.savetxt(path, rows, "%.10g", "\t", header=head, comments="")
+    return walks
+
+
+def test_the_main_job_runs_as_printed(tmp_path, monkeypatch):
+    walks = write_walks(tmp_path / "walks")
+    monkeypatch.chdir(tmp_path)
     names = {}
     for code in re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL):
         exec(code, names)
@@ -28,6 +46,11 @@ def test_the_main_job_runs_as_printed():
     assert names["filled"].tolist() == [120, 121, 122]
     assert len(names["now"]) == 10
     assert np.degrees(-names["scores"].min()) < 2
+    for states, angles in zip(names["states"], walks.trajectories, strict=True):
+        assert np.abs(states - angles).max() < 1e-7
+    assert len(names["ahead"].X) == sum(len(x) - 20 for x in walks.outputs)
+    error = names["turning"].predict([[345.0], [320.0], [10.0]]) - [[35], [10], [60]]
+    assert np.abs(error).max() < 1e-3
     # The synthetic trials have 0.7 to 1.1 strides a second.
     strides = np.abs(names["trusted"][np.abs(names["trusted"]) > 0.1])
     assert len(strides) > 0

@@ -175,7 +175,7 @@ def test_signs_and_turns_of_what_returns():
         ([-0.1, -1], -0.5),
         ([0, -0.7, -0.3], -0.5),
         ([-0.4, 0.8], 0),  # more than a turn
-        ([0, 5], 0),
+        ([0, 1.9], 0),
     ],
 )
 def test_turn_of_the_angles_that_were_seen(unit, parts, middle):
@@ -188,6 +188,19 @@ def test_turn_of_the_angles_that_were_seen(unit, parts, middle):
     assert (np.abs(back - middle * turn) <= turn / 2 * (1 + 1e-15)).all()
     if np.ptp(parts) <= 1:
         assert_allclose(back, X, rtol=0, atol=1e-12)
+
+
+def test_radians_that_are_degrees_warn():
+    knee = np.array([[0.0, 1.0], [60.0, 1.2], [np.nan, 1.1]])
+    with pytest.warns(UserWarning, match=r"reach 60 radians\. .*unit='degrees'; .*%"):
+        RotationEncoder().fit(knee)
+    # A crank that turns on and on.
+    turns = np.arange(0, 30, 0.7)[:, np.newaxis]
+    with pytest.warns(UserWarning, match="reach 29.4 radians"):
+        encoded = RotationEncoder().fit_transform(turns)
+    once = RotationEncoder().fit_transform(turns % (2 * np.pi))
+    assert_allclose(once, encoded, rtol=0, atol=1e-14)
+    RotationEncoder(unit="degrees").fit(knee)
 
 
 def test_each_angle_has_its_own_turn():

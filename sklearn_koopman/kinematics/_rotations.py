@@ -24,6 +24,8 @@ TURNS = {"radians": 2 * np.pi, "degrees": 360.0}
 LENGTH_TOLERANCE = 0.01
 # Below this the rounding of predictions decides which rotation is nearest.
 MIN_DISTINCTNESS = 1e-8
+# A joint that turns farther than this, in radians, has its angles in degrees.
+MAX_TURN = 4 * np.pi
 ENTRIES = [f"r{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)]
 
 
@@ -201,6 +203,11 @@ class RotationEncoder(TransformerMixin, BaseEstimator):
             whole number of quaternions or vectors; if `unit` or `scalar_first` is
             none of its choices; if `X` holds infinity, or quaternions whose length is
             not 1 within 0.01.
+
+        Warns
+        -----
+        UserWarning
+            If angles in radians exceed 4 pi, as those in degrees do.
         """
         check_choice(self.unit, "unit", TURNS)
         check_flag(self.scalar_first, "scalar_first")
@@ -210,6 +217,8 @@ class RotationEncoder(TransformerMixin, BaseEstimator):
         names = list(getattr(checker, "feature_names_in_", ()))
         columns = _find_columns(self, names, values.shape[1])
         _check_quaternions(values, columns["quaternions"])
+        if self.unit == "radians":
+            _warn_of_degrees(values[:, columns["angles"]])
         middles = _find_middles(values[:, columns["angles"]], TURNS[self.unit])
         validate_data(self, X, skip_check_array=True)
         self.angle_columns_ = columns["angles"]
@@ -492,6 +501,17 @@ def _check_quaternions(values: Array, columns: Indices) -> None:
             f"{row}, in the columns {sorted(columns[number].tolist())}, of length "
             f"{lengths[row, number]:.4g}; name the columns of quaternions, divide "
             "quaternions by their lengths, and mark missing ones by NaN."
+        )
+
+
+def _warn_of_degrees(angles: Array) -> None:
+    """Warn if angles that are said to be in radians are too large for a joint."""
+    largest = np.max(np.abs(angles), initial=0.0, where=~np.isnan(angles))
+    if largest > MAX_TURN:
+        warn(
+            f"angles of X reach {largest:.4g} radians. If they are in degrees, pass "
+            "unit='degrees'; if they count many turns, pass X % (2 * numpy.pi), which "
+            "is encoded as the same."
         )
 
 
