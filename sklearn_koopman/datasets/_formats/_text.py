@@ -21,6 +21,7 @@ BYTE_ORDER_MARKS = {
 }
 # The first that occurs separates the fields of a file; blanks do if there is none.
 DELIMITERS = ("\t", ";", ",")
+SPELLED = {"\t": "tabs", ";": "semicolons", ",": "commas", None: "blanks"}
 # How programs write that there is no number.
 MISSING = frozenset({"", "nan", "null", "none", "n/a", "-nan", "nan(ind)", "-nan(ind)"})
 SHOWN = 40  # characters of a line in a message
@@ -139,31 +140,44 @@ def read_table(
     places: list[int] = []
     faults: dict[tuple[int, int], str] = {}
     for number, line in lines:
-        fields = split(line, delimiter)
-        try:
-            row = [to_float(field) for field in fields]
-        except ValueError:
-            if not any(map(is_number, filter(None, fields))):
+        row = _read_plain(line, delimiter)
+        if len(row) != n_columns:
+            fields = split(line, delimiter)
+            row, wrong = _read_fields(fields)
+            if wrong and not any(map(is_number, filter(None, fields))):
                 continue
-            row = []
-            for column, field in enumerate(fields):
-                try:
-                    row.append(to_float(field))
-                except ValueError:
-                    row.append(np.nan)
-                    faults[len(values), column] = field
-        if len(fields) < n_columns or any(fields[n_columns:]):
-            separator = {"\t": "tabs", ";": "semicolons", ",": "commas"}
-            raise ValueError(
-                f"line {number}: found {len(fields)} fields separated by "
-                f"{separator.get(delimiter or '', 'blanks')}, expected {n_columns}; "
-                "the line is damaged, export the file again."
-            )
+            if len(fields) < n_columns or any(fields[n_columns:]):
+                raise ValueError(
+                    f"line {number}: found {len(fields)} fields separated by "
+                    f"{SPELLED[delimiter]}, expected {n_columns}; the line is damaged, "
+                    "export the file again."
+                )
+            faults |= {(len(values), column): field for column, field in wrong.items()}
         values.append(row[:n_columns])
         places.append(number)
     if not values:
         raise ValueError("the file has a head, but no frames; export it again.")
     return Table(np.array(values, dtype=np.float64), labels, places, faults)
+
+
+def _read_plain(line: str, delimiter: str | None) -> list[float]:
+    """Return the numbers of a line, none if a field is anything else; this is fast."""
+    try:
+        return [] if "_" in line else [*map(float, line.rstrip().split(delimiter))]
+    except ValueError:
+        return []
+
+
+def _read_fields(fields: Sequence[str]) -> tuple[list[float], dict[int, str]]:
+    """Return the numbers of fields, and what those hold that are no numbers."""
+    row, wrong = [], {}
+    for column, field in enumerate(fields):
+        try:
+            row.append(to_float(field))
+        except ValueError:
+            row.append(np.nan)
+            wrong[column] = field
+    return row, wrong
 
 
 def number_lines(lines: Sequence[str], first: int) -> list[Line]:
