@@ -38,7 +38,7 @@ def _read(file: File) -> Recording:
     # ezc3d returns NaN where the residual of a point is below 0.
     positions = np.moveaxis(content["data"]["points"][:3], 0, 2)  # points, frames, axes
     n_points, n_frames = positions.shape[:2]
-    if not n_frames:
+    if n_points and not n_frames:
         raise ValueError("the file has a head, but no frames; export it again.")
     no_points = {name for group in NO_POINTS for name in _texts(section, group)}
     markers, labels = [], []
