@@ -267,6 +267,7 @@ def damage(old, new, data=None):
         damage(b"POINT\x03\0\0", b"POINT\x03\0\xff"),
         c3d(analog={"USED": 65_000, "RATE": 1e9}),
         c3d(analog={"USED": 1, "RATE": np.inf}),
+        c3d(analog={"USED": 0, "RATE": 1e9}),
         c3d(point={"USED": 65_535}),
         c3d(point={"FRAMES": 65_535}),
         c3d(point={"FRAMES": 60_000, "USED": 60_000}),

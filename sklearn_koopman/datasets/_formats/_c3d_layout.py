@@ -14,8 +14,10 @@ MAGIC = 0x50
 INTEL, DEC, MIPS = 84, 85, 86
 # Bytes of a character, a byte, an integer and a number, by the number of their type.
 N_BYTES = {-1: 1, 1: 1, 2: 2, 4: 4}
+ROTATION_BYTES = 68  # a matrix of 4 by 4 numbers and its residual
 # ezc3d relies on these bounds,
 MAX_DIMENSIONS, MAX_VALUES, MAX_DESCRIPTION = 7, 65_535, 127
+MAX_RATIO = 1000  # of the rates of channels and frames
 # and on a value of each of these.
 FILLED = [
     *("POINT:USED", "POINT:SCALE", "POINT:RATE", "POINT:FRAMES", "POINT:DATA_START"),
@@ -37,7 +39,7 @@ def check_layout(data: bytes) -> None:
         ) from error
     if len(data) < n_bytes:
         raise ValueError(
-            f"the file was cut: its frames end at byte {n_bytes}, and the file at "
+            f"the file was cut: its frames end at byte {n_bytes:.0f}, and the file at "
             f"byte {len(data)}; copy or export it again."
         )
 
@@ -107,15 +109,27 @@ def _check_description(content: bytes) -> None:
         raise IndexError(content[0])
 
 
-def _count_bytes(data: bytes, counts: dict[str, float]) -> int:
+def _count_bytes(data: bytes, counts: dict[str, float]) -> float:
     """Return where the frames end."""
     first, last = struct.unpack_from("<HH", data, 6)
     (block,) = struct.unpack_from("<H", data, 16)
     n_frames = counts["POINT:FRAMES"] or last - first + 1
-    ratio = counts.get("ANALOG:RATE", 0) / (counts["POINT:RATE"] or math.inf)
-    n_analog = counts.get("ANALOG:USED", 0) * max(ratio, 1)
-    width = 4 if counts["POINT:SCALE"] < 0 else 2
-    n_bytes = n_frames * width * (4 * counts["POINT:USED"] + n_analog)
-    if not math.isfinite(n_bytes):
-        raise IndexError(n_bytes)
-    return BLOCK * (block - 1) + int(n_bytes)
+    n_values = 4 * counts["POINT:USED"] + _count_samples(counts, "ANALOG")
+    width = N_BYTES[4 if counts["POINT:SCALE"] < 0 else 2]
+    ends = [BLOCK * (block - 1) + n_frames * n_values * width]
+    if n_rotations := _count_samples(counts, "ROTATION"):
+        block = counts["ROTATION:DATA_START"]
+        ends.append(BLOCK * (block - 1) + n_frames * n_rotations * ROTATION_BYTES)
+    if not all(map(math.isfinite, ends)):
+        raise IndexError(ends)
+    return max(ends)
+
+
+def _count_samples(counts: dict[str, float], group: str) -> float:
+    """Return how many samples of channels or rotations a frame has."""
+    n_channels = counts.get(f"{group}:USED", 0)
+    ratio = counts.get(f"{group}:RATE", 0) / (counts["POINT:RATE"] or math.inf)
+    ratio = counts.get(f"{group}:RATIO", ratio)
+    if not n_channels and ratio > MAX_RATIO:
+        raise IndexError(ratio)
+    return n_channels * max(ratio, 1)
