@@ -59,6 +59,7 @@ def c3d(
     first=1,
     point=None,
     analog=None,
+    more=b"",
 ):
     """Return the bytes of a file; a positive scale asks for whole numbers."""
     n_frames, n_points = positions.shape[:2]
@@ -79,6 +80,7 @@ def c3d(
         records += record(["POINT", "ANALOG"][group - 1], -group, b"")
         for name, value in section.items():
             records += parameter(name, group, value, processor)
+    records += more
     n_blocks = -(-(len(records) + 5) // BLOCK)
     head = struct.pack("<BB5H", 2, 0x50, n_points, 0, first, first + n_frames - 1, 10)
     head += floats([scale], processor) + struct.pack("<HH", 2 + n_blocks, 0)
@@ -90,6 +92,9 @@ def c3d(
         words = np.dstack([np.rint(positions / scale), np.where(residuals < 0, -1, 0)])
         data = words.astype("<i2").tobytes()
     return head.ljust(BLOCK, b"\0") + parameters.ljust(BLOCK * n_blocks, b"\0") + data
+
+
+CHANNELS = {"USED": 2, "LABELS": ["a", "b"], "SCALE": (1.0, 1.0)}
 
 
 @pytest.fixture
@@ -219,14 +224,19 @@ def test_rate_and_unit_settle_what_a_file_does_not_say(write):
 
 def test_channels_lie_between_the_points(write):
     # Two channels at twice the rate: 2 x 2 numbers after the points of each frame.
-    head, points = c3d()[: -POSITIONS.shape[0] * 32], c3d()[-POSITIONS.shape[0] * 32 :]
-    channels = {"USED": 2, "RATE": 200.0, "LABELS": ["a", "b"], "SCALE": (1.0, 1.0)}
-    head = c3d(analog=channels)[: len(head)]
-    frames = [points[i : i + 32] + bytes(16) for i in range(0, len(points), 32)]
+    data, n_points = c3d(analog=CHANNELS | {"RATE": 200.0}), 4 * 32
+    head, points = data[:-n_points], data[-n_points:]
+    frames = [points[i : i + 32] + bytes(16) for i in range(0, n_points, 32)]
     trial = load_markers(write(head + b"".join(frames)))
     np.testing.assert_array_equal(trial.markers["Knee"], POSITIONS[:, 1])
     with pytest.raises(ValueError, match="the file was cut"):
         load_markers(write(head + b"".join(frames)[:-1]))
+
+
+def test_files_of_shadow_have_no_scales_of_channels(write):
+    data = c3d(analog=CHANNELS | {"SCALE": ()}, more=record("SHADOW", -3, b""))
+    data += bytes(64)
+    assert load_markers(write(data), gaps="nan").names == ["Hip", "Knee"]
 
 
 def test_a_file_is_recognised_by_its_bytes(write):
@@ -264,6 +274,8 @@ def damage(old, new, data=None):
         damage(b"UNITS\x09\0\xff\x02\x02\x01", b"UNITS\x09\0\xff\x02\xff\xff"),
         damage(b"LABELS\x0f\0\xff\x02\x04\x02", b"LABELS\x0f\0\xff\x09\x04\x02"),
         damage(b"mm\0", b"mm\xff"),
+        c3d(analog={"USED": 2, "SCALE": ()}) + bytes(64),
+        damage(b"OFFSET", b"OFFSEX", c3d(analog=CHANNELS) + bytes(64)),
         damage(b"POINT\x03\0\0", b"POINT\x03\0\xff"),
         c3d(analog={"USED": 65_000, "RATE": 1e9}),
         c3d(analog={"USED": 1, "RATE": np.inf}),

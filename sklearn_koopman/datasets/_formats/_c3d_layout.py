@@ -8,22 +8,30 @@ import math
 import struct
 from collections.abc import Iterator
 
+import numpy as np
+
+from ..._utils._typing import Array
+
 BLOCK = 512
 # The second byte of every file.
 MAGIC = 0x50
 INTEL, DEC, MIPS = 84, 85, 86
-# Bytes of a character, a byte, an integer and a number, by the number of their type.
-N_BYTES = {-1: 1, 1: 1, 2: 2, 4: 4}
+# Characters, bytes, integers and numbers, by the number of their type.
+TYPES = {-1: np.dtype("S1"), 1: np.dtype("u1"), 2: np.dtype("<u2"), 4: np.dtype("<f4")}
 ROTATION_BYTES = 68  # a matrix of 4 by 4 numbers and its residual
 # ezc3d relies on these bounds,
 MAX_DIMENSIONS, MAX_VALUES, MAX_DESCRIPTION = 7, 65_535, 127
 MAX_RATIO = 1000  # of the rates of channels and frames
-# and on a value of each of these.
-FILLED = [
+# and on a value of each of these,
+FILLED = {
     *("POINT:USED", "POINT:SCALE", "POINT:RATE", "POINT:FRAMES", "POINT:DATA_START"),
     *("ANALOG:USED", "ANALOG:RATE", "ANALOG:GEN_SCALE"),
     *("ROTATION:USED", "ROTATION:RATE", "ROTATION:RATIO", "ROTATION:DATA_START"),
-]
+}
+# and of these where there are channels, unless Shadow wrote the file.
+OF_CHANNELS = {"ANALOG:SCALE", "ANALOG:OFFSET"}
+SHADOW = "SHADOW"
+NONE = np.array([])
 
 
 def check_layout(data: bytes) -> None:
@@ -32,7 +40,7 @@ def check_layout(data: bytes) -> None:
     ezc3d would crash, never return or take all memory, or read some of the frames.
     """
     try:
-        n_bytes = _count_bytes(data, _read_counts(data))
+        n_bytes = _count_bytes(data, _read_parameters(data))
     except (struct.error, IndexError, KeyError) as error:
         raise ValueError(
             "the file is no C3D, or its parameters are damaged; export it again."
@@ -44,10 +52,10 @@ def check_layout(data: bytes) -> None:
         )
 
 
-def _read_counts(data: bytes) -> dict[str, float]:
-    """Return the first value of each parameter of numbers, by its full name."""
+def _read_parameters(data: bytes) -> dict[str, Array]:
+    """Return the numbers of each parameter, by its full name; none of texts."""
     groups: dict[int, str] = {}
-    counts: dict[tuple[int, str], float] = {}
+    parameters: dict[tuple[int, str], Array] = {}
     start = BLOCK * (data[0] - 1)
     processor = data[start + 3]
     if data[1] != MAGIC or start < BLOCK or processor not in (INTEL, DEC, MIPS):
@@ -62,10 +70,13 @@ def _read_counts(data: bytes) -> dict[str, float]:
             groups[-group] = name
             _check_description(content)
         else:
-            counts[group, name] = _read_count(content, processor)
-    named = {f"{groups[group]}:{name}": n for (group, name), n in counts.items()}
-    if any(math.isnan(named.get(name, 0.0)) for name in FILLED):
-        raise KeyError("no value")
+            parameters[group, name] = _read_numbers(content, processor)
+    named = {f"{groups[group]}:{name}": x for (group, name), x in parameters.items()}
+    needed = {name for name in FILLED if name in named}
+    if named.get("ANALOG:USED", NONE).any() and SHADOW not in groups.values():
+        needed |= OF_CHANNELS
+    if not all(named.get(name, NONE).size for name in needed):
+        raise KeyError(needed)
     return named
 
 
@@ -84,23 +95,22 @@ def _records(data: bytes, place: int) -> Iterator[tuple[int, str, bytes]]:
         place = end
 
 
-def _read_count(content: bytes, processor: int) -> float:
-    """Return the first value of a parameter; NaN for texts, and if there is none."""
+def _read_numbers(content: bytes, processor: int) -> Array:
+    """Return the numbers of a parameter; none of a text."""
     kind, n_dimensions = struct.unpack_from("bb", content)
     shape = content[2 : 2 + n_dimensions]
     is_sound = 0 <= n_dimensions <= MAX_DIMENSIONS and (kind > 0 or n_dimensions > 0)
     if not is_sound or math.prod(max(n, 1) for n in shape) > MAX_VALUES:
         raise IndexError(n_dimensions)
-    size = N_BYTES[kind] * math.prod(shape)
-    values = content[2 + n_dimensions : 2 + n_dimensions + size]
-    _check_description(content[2 + n_dimensions + size :])
-    if kind < 0 or not size:
-        return math.nan
-    if kind < 4:
-        return float(int.from_bytes(values[:kind], "little"))
-    if processor == DEC:  # the halves change places, and the exponent counts from 2
-        return float(struct.unpack("<f", values[2:4] + values[:2])[0]) / 4
-    return float(struct.unpack_from("<f", values)[0])
+    end = 2 + n_dimensions + TYPES[kind].itemsize * math.prod(shape)
+    _check_description(content[end:])
+    if kind < 0:
+        return NONE
+    numbers = np.frombuffer(content[2 + n_dimensions : end], TYPES[kind])
+    if processor == DEC and kind == 4:  # halves change places, the exponent is 2 more
+        halves = numbers.view("<u2").reshape(-1, 2)[:, ::-1]
+        numbers = np.ascontiguousarray(halves).view("<f4")[:, 0] / 4
+    return numbers.astype(np.float64)
 
 
 def _check_description(content: bytes) -> None:
@@ -109,27 +119,32 @@ def _check_description(content: bytes) -> None:
         raise IndexError(content[0])
 
 
-def _count_bytes(data: bytes, counts: dict[str, float]) -> float:
+def _count_bytes(data: bytes, parameters: dict[str, Array]) -> float:
     """Return where the frames end."""
     first, last = struct.unpack_from("<HH", data, 6)
     (block,) = struct.unpack_from("<H", data, 16)
-    n_frames = counts["POINT:FRAMES"] or last - first + 1
-    n_values = 4 * counts["POINT:USED"] + _count_samples(counts, "ANALOG")
-    width = N_BYTES[4 if counts["POINT:SCALE"] < 0 else 2]
+    n_frames = parameters["POINT:FRAMES"][0] or last - first + 1
+    n_channels = _count_samples(parameters, "ANALOG")
+    n_values = 4 * parameters["POINT:USED"][0] + n_channels
+    width = 4 if parameters["POINT:SCALE"][0] < 0 else 2
     ends = [BLOCK * (block - 1) + n_frames * n_values * width]
-    if n_rotations := _count_samples(counts, "ROTATION"):
-        block = counts["ROTATION:DATA_START"]
+    if n_rotations := _count_samples(parameters, "ROTATION"):
+        block = parameters["ROTATION:DATA_START"][0]
         ends.append(BLOCK * (block - 1) + n_frames * n_rotations * ROTATION_BYTES)
     if not all(map(math.isfinite, ends)):
         raise IndexError(ends)
     return max(ends)
 
 
-def _count_samples(counts: dict[str, float], group: str) -> float:
+def _count_samples(parameters: dict[str, Array], group: str) -> float:
     """Return how many samples of channels or rotations a frame has."""
-    n_channels = counts.get(f"{group}:USED", 0)
-    ratio = counts.get(f"{group}:RATE", 0) / (counts["POINT:RATE"] or math.inf)
-    ratio = counts.get(f"{group}:RATIO", ratio)
+    point_rate = float(parameters["POINT:RATE"][0])
+    n_channels, rate, ratio = (
+        float(parameters.get(f"{group}:{name}", [default])[0])
+        for name, default in (("USED", 0), ("RATE", 0), ("RATIO", math.nan))
+    )
+    if math.isnan(ratio):
+        ratio = rate / (point_rate or math.inf)
     if not n_channels and ratio > MAX_RATIO:
         raise IndexError(ratio)
     return n_channels * max(ratio, 1)
