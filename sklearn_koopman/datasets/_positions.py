@@ -48,7 +48,7 @@ def select_positions(recording: Recording, choices: Choices, where: str) -> Bunc
     """Return the markers that are asked for, with their time and unit."""
     table = recording.table
     chosen = _select(recording.markers, choices.markers, choices.individual)
-    unit = choices.unit or (recording.unit and spell(recording.unit))
+    unit = choices.unit or (spell(recording.unit) if recording.unit else None)
     positions = {n: _positions(recording, m, choices) for n, m in chosen.items()}
     time, rate = read_clock(recording, choices.rate)
     if np.isnan(rate) or unit is None:

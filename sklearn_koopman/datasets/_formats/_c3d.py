@@ -4,12 +4,11 @@ from typing import Any
 
 import numpy as np
 
+from ._c3d_layout import MAGIC, check_layout
 from ._recording import Format, Marker, Recording, split_prefix
 from ._text import File, Table
 
-# The second byte of every file; the first is the number of a block, mostly 2.
-MAGIC = 0x50
-MAX_BLOCK = 8
+MAX_BLOCK = 8  # in which the parameters begin; mostly 2
 # Groups of names, in the section POINT, of what is stored like points, but is none.
 NO_POINTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 
@@ -28,47 +27,54 @@ def _read(file: File) -> Recording:
             f"{file.path}: C3D files are read by ezc3d; install it by "
             "pip install 'sklearn-koopman[c3d]'."
         ) from error
+    check_layout(file.data)
     try:
         content = ezc3d.c3d(str(file.path))
     except Exception as error:  # ezc3d raises many kinds
-        raise ValueError(f"the file is no C3D, or is damaged: {error}") from error
+        raise ValueError(
+            f"the file is no C3D, or is damaged: {error}; export it again."
+        ) from error
     section = content["parameters"]["POINT"]
-    no_points = {name for group in NO_POINTS for name in _texts(section, group)}
+    # ezc3d returns NaN where the residual of a point is below 0.
     positions = np.moveaxis(content["data"]["points"][:3], 0, 2)  # points, frames, axes
-    residuals = content["data"]["meta_points"]["residuals"][0]
-    positions = np.where(residuals[:, :, np.newaxis] < 0, np.nan, positions)
-    n_frames = positions.shape[1]
+    n_points, n_frames = positions.shape[:2]
+    if n_points and not n_frames:
+        raise ValueError("the file has a head, but no frames; export it again.")
+    no_points = {name for group in NO_POINTS for name in _texts(section, group)}
     markers, labels = [], []
-    for i, label in enumerate(_texts(section, "LABELS")):
+    for i, label in enumerate(_texts(section, "LABELS")[:n_points]):
         labels += [f"{label} {axis}" for axis in "XYZ"]
-        if i < len(positions) and label and label not in no_points:
+        if label and label not in no_points:
             individual, name = split_prefix(label)
             markers.append(Marker(name, range(3 * i, 3 * i + 3), individual))
-    values = np.moveaxis(positions, 0, 1).reshape(n_frames, -1)
     header = content["header"]["points"]
-    clock = header["first_frame"] + np.arange(n_frames)
+    frames = header["first_frame"] + np.arange(n_frames)  # from 0
     rate = float(header["frame_rate"])
     return Recording(
         table=Table(
-            np.column_stack([values, clock]),
+            np.column_stack([*positions, frames]),
             [*labels, "Frame"],
-            range(1, n_frames + 1),
+            frames + 1,
             {},
             "frame",
         ),
         markers=markers,
-        rate=rate if rate > 0 else None,
+        rate=rate if 0 < rate < np.inf else None,
         rate_name="POINT:RATE",
-        unit=next(iter(_texts(section, "UNITS")), None),
-        stamps=values.shape[1],
+        unit=next(iter(_texts(section, "UNITS")), None) or None,
+        stamps=3 * n_points,
         is_seconds=False,
     )
 
 
 def _texts(section: Any, name: str) -> list[str]:
-    """Return the texts of a parameter; none if it is not there."""
-    values = section[name]["value"] if name in section else []
-    return [str(value).strip() for value in values]
+    """Return the texts of a parameter, which has a second part beyond 255 of them."""
+    texts: list[str] = []
+    for part in (name, *(f"{name}{i}" for i in range(2, len(section)))):
+        if part not in section:
+            break
+        texts += [str(value).strip() for value in section[part]["value"]]
+    return texts
 
 
 C3D = Format("C3D", _is_c3d, _read)

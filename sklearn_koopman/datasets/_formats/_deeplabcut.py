@@ -6,6 +6,7 @@ from ._recording import PIXELS, Format, Marker, Recording
 from ._text import File, drop_end, find_delimiter, number_lines, read_table, split
 
 AXES = ("x", "y", "z")
+HEAD = ("scorer", "individuals", "bodyparts", "coords")
 
 
 def _is_deeplabcut(file: File) -> bool:
@@ -17,9 +18,9 @@ def _read(file: File) -> Recording:
     head: dict[str, list[str]] = {}
     for line in file.lines:
         key, *fields = drop_end(split(line, delimiter)) or [""]
-        head[key] = fields
-        if key == "coords":
+        if key not in HEAD or key in head:
             break
+        head[key] = fields
     names, coordinates = head.get("bodyparts"), head.get("coords")
     n_columns = len(coordinates or ())
     individuals = head.get("individuals", [""] * n_columns)
@@ -39,12 +40,9 @@ def _read(file: File) -> Recording:
     labels = ["frame", *(f"{n} {c}" for n, c in zip(names, coordinates, strict=True))]
     markers = []
     for individual, name in dict.fromkeys(keys):
-        places = {
-            axis: column
-            for column, axis in enumerate(coordinates, 1)
-            if keys[column - 1] == (individual, name)
-        }
-        markers.append(_marker(individual, name, places))
+        places = [i for i, key in enumerate(keys) if key == (individual, name)]
+        axes = [coordinates[i] for i in places]
+        markers.append(_marker(individual, name, axes, places))
     table = read_table(rows, labels, delimiter)
     is_planar = all(len(marker.columns) == 2 for marker in markers)
     return Recording(
@@ -56,15 +54,18 @@ def _read(file: File) -> Recording:
     )
 
 
-def _marker(individual: str, name: str, places: dict[str, int]) -> Marker:
-    """Return a marker from the columns of its coordinates."""
-    columns: Sequence[int] = [places[axis] for axis in AXES if axis in places]
-    if not {"x", "y"} <= {*places}:
+def _marker(
+    individual: str, name: str, axes: Sequence[str], places: Sequence[int]
+) -> Marker:
+    """Return a marker from its axes, and the places where they stand."""
+    columns = {axis: 1 + place for axis, place in zip(axes, places, strict=True)}
+    if not {"x", "y"} <= {*axes} or len(columns) < len(axes):
         raise ValueError(
-            f"body part {name!r} has the columns {[*places]}, expected x and y; export "
-            "the file again."
+            f"body part {name!r} has the columns {axes}, expected x and y, each "
+            "export the file again."
         )
-    return Marker(name, columns, individual, places.get("likelihood"))
+    coordinates = [columns[axis] for axis in AXES if axis in columns]
+    return Marker(name, coordinates, individual, columns.get("likelihood"))
 
 
 DEEPLABCUT = Format("DeepLabCut", _is_deeplabcut, _read)

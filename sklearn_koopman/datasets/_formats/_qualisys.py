@@ -11,7 +11,7 @@ from ._text import (
     number_lines,
     read_table,
     split,
-    to_float,
+    to_rate,
 )
 
 KEYS = ("NO_OF_FRAMES", "NO_OF_CAMERAS", "NO_OF_MARKERS", "MARKER_NAMES")
@@ -39,11 +39,10 @@ def _read(file: File) -> Recording:
     for column, name in zip(range(len(clocks), len(labels), 3), names, strict=True):
         individual, bare = split_prefix(name)
         markers.append(Marker(bare, range(column, column + 3), individual))
-    rate = to_float(head.get("FREQUENCY", [""])[0])
     return Recording(
         table=table,
         markers=markers,
-        rate=rate if rate > 0 else None,
+        rate=to_rate(head.get("FREQUENCY", [""])[0]),
         rate_name="FREQUENCY",
         unit="mm",
         stamps=len(clocks) - 1 if clocks else None,
@@ -57,8 +56,9 @@ def _head(lines: Sequence[str]) -> tuple[dict[str, list[str]], int]:
     head: dict[str, list[str]] = {}
     for number, line in enumerate(lines):
         key, *values = split(line, "\t")
-        # Frames begin with a number, or with a blank field where it is missing.
-        if "MARKER_NAMES" in head and line and (not key or is_number(key)):
+        # Frames begin with a number, or with a blank or a word where it is missing.
+        is_frame = line and (not key[:1].isalpha() or is_number(key))
+        if "MARKER_NAMES" in head and is_frame:
             return head, number
         head[key] = drop_end(values) or [""]
     return head, len(lines)

@@ -59,4 +59,4 @@ def warn_of_count(name: str, claimed: str | None, found: Collection[float]) -> N
 def split_prefix(label: str) -> tuple[str, str]:
     """Split ``S01:Hip`` into the person and the marker; most labels have no person."""
     individual, _, name = label.rpartition(PREFIX_END)
-    return individual, name
+    return (individual, name) if name else ("", label)

@@ -101,6 +101,12 @@ def to_float(field: str) -> float:
     return float(field)
 
 
+def to_rate(field: str) -> float | None:
+    """Convert a number of frames per second; None for what is none."""
+    rate = to_float(field) if is_number(field) else np.nan
+    return rate if 0 < rate < np.inf else None
+
+
 @dataclass(frozen=True)
 class Table:
     """Numbers in columns, and where in the file each row stands."""

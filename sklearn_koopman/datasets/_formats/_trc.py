@@ -12,7 +12,7 @@ from ._text import (
     number_lines,
     read_table,
     split,
-    to_float,
+    to_rate,
 )
 
 N_HEADER_LINES = 4  # and one of axes, mostly
@@ -50,13 +50,12 @@ def _read(file: File) -> Recording:
     warn_of_count("NumFrames in line 3", settings.get("NumFrames"), [len(table)])
     n_markers = [len(markers), len(labels) / 3]
     warn_of_count("NumMarkers in line 3", settings.get("NumMarkers"), n_markers)
-    rate = to_float(settings.get("DataRate", ""))
     return Recording(
         table=table,
         markers=markers,
-        rate=rate if rate > 0 else None,
+        rate=to_rate(settings.get("DataRate", "")),
         rate_name="DataRate in line 3",
-        unit=settings.get("Units") or None,
+        unit=settings.get("Units"),
         stamps=1,
         is_seconds=True,
     )
@@ -86,13 +85,13 @@ def _markers(head: list[str], axes: list[str]) -> tuple[list[Marker], list[str]]
         starts = list(range(0, len(places), 3))
     else:  # a column without a name stands where its marker has none
         # Names beyond the last column are of virtual markers, which are not exported.
-        names = [(i, name) for i, name in names if i <= places[-1]]
+        names = [(i, name) for i, name in names if i <= max(places, default=0)]
         starts = [places.index(i) if i in places else len(places) for i, _ in names]
     labels = [axes[place] for place in places]
     markers = []
     for start, (_, name) in zip(starts, names, strict=True):
         triple = [axis[:1].upper() for axis in labels[start : start + 3]]
-        if sorted(triple) != ["X", "Y", "Z"]:
+        if start % 3 or sorted(triple) != ["X", "Y", "Z"]:
             raise ValueError(
                 f"lines 4 and 5: there are {len(names)} names of markers and "
                 f"{len(places)} columns, and {name!r} does not stand above an X, a Y "

@@ -13,7 +13,7 @@ from ._text import (
     number_lines,
     read_table,
     split,
-    to_float,
+    to_rate,
 )
 
 SECTION = "trajectories"
@@ -68,6 +68,13 @@ def _read(file: File) -> Recording:
             f"lines {place + 3} and {place + 4}: no name stands above an X, a Y and a "
             "Z; export the trajectories of the markers."
         )
+    for i, name in enumerate(names):
+        if name and i not in columns and axes[i : i + 1] in (["X"], ["Y"], ["Z"]):
+            raise ValueError(
+                f"lines {place + 3} and {place + 4}: {name!r} stands above "
+                f"{axes[i : i + 3]}, not above an X, a Y and a Z; export the file "
+                "again."
+            )
     first = place + 1 + N_HEADER_LINES
     units = split(file.lines[first], delimiter) if len(file.lines) > first else []
     has_units = any(units) and not any(map(is_number, filter(None, units)))
@@ -77,13 +84,12 @@ def _read(file: File) -> Recording:
         individual, bare = split_prefix(name)
         markers.append(Marker(bare, range(column, column + 3), individual))
         labels[column : column + 3] = [f"{name} {axis}" for axis in "XYZ"]
-    rate = split(rate_line, delimiter)[0]
     return Recording(
         table=read_table(_rows(file.lines, first + has_units), labels, delimiter),
         markers=markers,
-        rate=to_float(rate) if is_number(rate) and to_float(rate) > 0 else None,
+        rate=to_rate(split(rate_line, delimiter)[0]),
         rate_name=f"the rate in line {place + 2}",
-        unit=units[next(iter(columns))] if has_units else None,
+        unit=next(iter(units[min(columns) :]), None) if has_units else None,
         stamps=0,
         is_seconds=False,
         first_frame=1,

@@ -29,7 +29,14 @@ def _read(file: File) -> Recording:
         name = names[column] if column < len(names) else ""
         kind = types[column] if column < len(types) else ""
         labels.append(f"{name} {axes[column]}")
-        if axes[column : column + 3] == [*"XYZ"] and kind.upper() in POSITIONS:
+        is_position = name and kind.upper() in POSITIONS
+        if is_position and axes[column : column + 3] == [*"XYZ"]:
+            if len({*names[column : column + 3]}) > 1:
+                raise ValueError(
+                    f"line 2: an X, a Y and a Z have the names "
+                    f"{names[column : column + 3]}, expected one name; export the file "
+                    "again."
+                )
             individual, bare = split_prefix(name)
             markers.append(Marker(bare, range(column, column + 3), individual))
     if not markers:
