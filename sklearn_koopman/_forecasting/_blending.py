@@ -1,0 +1,118 @@
+"""How much of a correction is believed, and which baseline, at each horizon."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from .._utils._typing import Array
+from ._baselines import DIRECT
+
+# A baseline that says nothing of more rows than this is chosen for no horizon.
+MAX_SILENT = 0.5
+
+
+class LeftOut(NamedTuple):
+    """Forecasts of rows by fits that these rows were left out of.
+
+    Attributes
+    ----------
+    baseline : ndarray of shape (n_rows, n_horizons, n_outputs)
+        What the baseline says, NaN where it says nothing.
+    correction : ndarray of shape (n_rows, n_horizons, n_outputs)
+        What was learned on top of it.
+    """
+
+    baseline: Array
+    correction: Array
+
+
+class Blend(NamedTuple):
+    """What is forecast at each horizon.
+
+    Attributes
+    ----------
+    names : ndarray of str of shape (n_horizons,)
+        The baseline.
+    weights : ndarray of shape (n_horizons,)
+        What the correction is multiplied by.
+    scale : ndarray of shape (n_horizons, n_outputs)
+        The root mean square of the errors of the rows that were left out.
+    errors : dict of str to ndarray of shape (n_horizons, n_outputs)
+        The same for each baseline, alone ("last") and corrected ("last, corrected").
+    """
+
+    names: Array
+    weights: Array
+    scale: Array
+    errors: dict[str, Array]
+
+
+def blend(left_out: Mapping[str, LeftOut], truth: Array, unit: Array) -> Blend:
+    """Choose the baseline and the weight of the correction for each horizon.
+
+    Both by least squares on rows that were left out, those that all baselines speak of,
+    but for baselines that say too little.
+
+    Parameters
+    ----------
+    left_out : dict of str to LeftOut
+        The forecasts, by the name of the baseline.
+    truth : ndarray of shape (n_rows, n_horizons, n_outputs)
+        What came.
+    unit : ndarray of shape (n_outputs,)
+        The unit of each output.
+
+    Returns
+    -------
+    blend : Blend
+        The choice.
+    """
+    is_known = {
+        name: np.isfinite(forecasts.baseline + forecasts.correction).all(axis=(1, 2))
+        for name, forecasts in left_out.items()
+    }
+    least = (1 - MAX_SILENT) * max(known.sum() for known in is_known.values())
+    is_known = {name: known for name, known in is_known.items() if known.sum() >= least}
+    rows = np.logical_and.reduce(list(is_known.values()))
+    if not rows.any():
+        raise ValueError(
+            "no row could be left out: the recordings are too short, or too few; pass "
+            "more of them, or lower horizons and delays."
+        )
+    errors, corrected, weights = {}, [], []
+    for name, known in is_known.items():
+        baseline, correction = left_out[name]
+        weight = np.ones(truth.shape[1])
+        if name != DIRECT:
+            weight = _weights(
+                correction[known] / unit, (truth - baseline)[known] / unit
+            )
+            errors[name] = _rms(baseline[rows] - truth[rows])
+        forecasts = baseline[rows] + weight[:, np.newaxis] * correction[rows]
+        errors[f"{name}, corrected" if name != DIRECT else name] = _rms(
+            forecasts - truth[rows]
+        )
+        corrected.append(_rms(forecasts - truth[rows]))
+        weights.append(weight)
+    best = np.argmin([((error / unit) ** 2).sum(axis=1) for error in corrected], axis=0)
+    horizons = np.arange(truth.shape[1])
+    return Blend(
+        np.array(list(is_known))[best],
+        np.array(weights)[best, horizons],
+        np.array(corrected)[best, horizons],
+        errors,
+    )
+
+
+def _weights(offered: Array, wanted: Array) -> Array:
+    """Return what to multiply an offer by at each horizon, in [0, 1]."""
+    power, product = (offered**2).sum(axis=(0, 2)), (offered * wanted).sum(axis=(0, 2))
+    return np.clip(product / np.where(power > 0, power, 1.0), 0.0, 1.0)
+
+
+def _rms(errors: Array) -> Array:
+    """Return the root mean square of each column."""
+    return np.sqrt(np.mean(errors**2, axis=0))

@@ -1,0 +1,208 @@
+"""Recordings as arrays with gaps: the past of every row, and what follows it."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from sklearn.utils import check_array
+
+from .._utils._embedding import embed
+from .._utils._recordings import read_recordings
+from .._utils._typing import Array, Indices
+from .._utils._validation import check_columns
+
+
+class Track(NamedTuple):
+    """One recording.
+
+    Attributes
+    ----------
+    states : ndarray of shape (n_rows, n_features)
+        The samples, NaN in gaps.
+    outputs : ndarray of shape (n_rows, n_outputs)
+        What is to be forecast, NaN where it is not known.
+    pieces : list of slice
+        The stretches without a gap.
+    """
+
+    states: Array
+    outputs: Array
+    pieces: Sequence[slice]
+
+    @property
+    def piece(self) -> Indices:
+        """The number of the piece that each row is in, -1 in gaps."""
+        numbers = np.full(len(self.states), -1)
+        for number, rows in enumerate(self.pieces):
+            numbers[rows] = number
+        return numbers
+
+    def embedded(self, offsets: Indices, embedding: str) -> Array:
+        """Return the past of every row, NaN where it is too short."""
+        width = len(offsets) * self.states.shape[1]
+        past = np.full((len(self.states), width), np.nan)
+        for rows in self.pieces:
+            first = min(rows.start + int(offsets[-1]), rows.stop)
+            past[first : rows.stop] = embed(self.states[rows], offsets, embedding)
+        return past
+
+    def following(self, horizons: Indices) -> Array:
+        """Return the outputs at all horizons, NaN where a gap or the end comes first.
+
+        Returns
+        -------
+        outputs : ndarray of shape (n_rows, n_horizons, n_outputs)
+            Entry k, h is the output `horizons[h]` rows after row k.
+        """
+        shape = (len(self.states), len(horizons), self.outputs.shape[1])
+        following = np.full(shape, np.nan)
+        for rows in self.pieces:
+            outputs = self.outputs[rows]
+            for number, horizon in enumerate(horizons):
+                known = outputs[horizon:]
+                following[rows.start : rows.start + len(known), number] = known
+        return following
+
+
+class Tracks(NamedTuple):
+    """Recordings with the same columns.
+
+    Attributes
+    ----------
+    tracks : list of Track
+        One a recording.
+    names : list of str
+        The names of the columns, numbered ones where there are none.
+    has_names : bool
+        Whether the names are those of DataFrames.
+    output_names : list of str
+        The names of the outputs.
+    """
+
+    tracks: list[Track]
+    names: list[str]
+    has_names: bool
+    output_names: list[str]
+
+
+def read_tracks(X: Any, y: Any, targets: Any) -> Tracks:
+    """Validate recordings, and find their gaps and outputs.
+
+    Parameters
+    ----------
+    X : list of array-like of shape (n_rows, n_features)
+        The recordings.
+    y : list of array-like of shape (n_rows,) or (n_rows, n_outputs), or None
+        Outputs that are no columns of `X`.
+    targets : None, or list of str or int
+        The columns of `X` that are forecast; None takes all, unless there is `y`.
+    """
+    items = as_list(X, "X")
+    read = read_recordings(items, None, gaps="split", rates=None, resample=None)
+    has_names = any(getattr(item, "columns", None) is not None for item in items)
+    has_names &= all(isinstance(name, str) for name in read.names)
+    if y is not None:
+        if targets is not None:
+            raise ValueError(
+                f"both y and targets={targets!r} say what is forecast; pass y for "
+                "outputs that X does not hold, else targets alone."
+            )
+        outputs, output_names = _read_outputs(items, y)
+    else:
+        columns = find_columns(targets, read.names)
+        outputs = [r.samples.states[:, columns] for r in read.recordings]
+        output_names = [read.names[column] for column in columns]
+    tracks = []
+    for recording, output in zip(read.recordings, outputs, strict=True):
+        states = recording.samples.states.copy()
+        is_gap = np.ones(len(states), dtype=bool)
+        for rows in recording.pieces:
+            is_gap[rows] = False
+        states[is_gap] = np.nan
+        tracks.append(Track(states, output, recording.pieces))
+    return Tracks(tracks, read.names, has_names, output_names)
+
+
+def as_list(data: Any, name: str) -> list[Any]:
+    """Return recordings as a list; refuse what is no list of recordings."""
+    if isinstance(data, np.ndarray) and data.dtype == object and data.ndim == 1:
+        data = list(data)
+    if isinstance(data, dict):
+        raise ValueError(f"{name} is a dict; pass list({name}.values()).")
+    if not isinstance(data, list | tuple) or len(data) == 0:
+        shape = getattr(data, "shape", None)
+        what = f"of shape {shape}" if shape is not None else repr(data)[:40]
+        remedy = f"; pass [{name}] for one recording" if shape is not None else ""
+        if shape is not None and len(shape) == 3:
+            remedy = f"; pass list({name}) if its first axis counts recordings"
+        raise ValueError(
+            f"{name} must be a non-empty list of recordings, of shape (n_rows, "
+            f"n_columns) each, got {type(data).__name__} {what}{remedy}."
+        )
+    for number, item in enumerate(data):
+        if getattr(item, "shape", None) is None:
+            raise ValueError(
+                f"{name}[{number}] is a {type(item).__name__}; a recording is an array "
+                "or a DataFrame: pass numpy.asarray of it, and one recording as [it]."
+            )
+    return list(data)
+
+
+def find_columns(targets: Any, names: list[str]) -> list[int]:
+    """Return the numbers of the columns that are forecast."""
+    if targets is None:
+        return list(range(len(names)))
+    if isinstance(targets, str | bytes) or not np.iterable(targets):
+        raise ValueError(f"targets={targets!r} must be a list of columns; pass [...].")
+    columns: list[int] = []
+    for target in targets:
+        is_number = isinstance(target, int | np.integer) and not isinstance(
+            target, bool
+        )
+        if is_number and 0 <= target < len(names):
+            columns.append(int(target))
+        elif isinstance(target, str) and target in names:
+            columns.append(names.index(target))
+        else:
+            raise ValueError(
+                f"targets holds {target!r}, which is no column of X; it has {names}."
+            )
+    if not columns or len({*columns}) < len(columns):
+        raise ValueError(f"targets={targets!r} must name each of some columns once.")
+    return columns
+
+
+def _read_outputs(items: list[Any], y: Any) -> tuple[list[Array], list[str]]:
+    """Return outputs that are given by themselves, NaN where they are missing."""
+    given = as_list(y, "y")
+    if len(given) != len(items):
+        raise ValueError(
+            f"y holds {len(given)} recordings, X {len(items)}; pass one for each."
+        )
+    outputs: list[Array] = []
+    for number, (values, states) in enumerate(zip(given, items, strict=True)):
+        if isinstance(values, np.ma.MaskedArray):
+            values = values.astype(np.float64).filled(np.nan)
+        output = check_array(
+            values,
+            dtype=np.float64,
+            ensure_2d=False,
+            ensure_all_finite="allow-nan",
+            input_name=f"y[{number}]",
+        )
+        output = output.reshape(len(output), -1)
+        if len(output) != len(states):
+            raise ValueError(
+                f"y[{number}] has {len(output)} rows, X[{number}] {len(states)}; "
+                "outputs stand in the rows in which they are measured, not shifted."
+            )
+        if outputs and output.shape[1] != outputs[0].shape[1]:
+            raise ValueError(
+                f"y[{number}] has {output.shape[1]} outputs, y[0] "
+                f"{outputs[0].shape[1]}; pass the same outputs for all recordings."
+            )
+        check_columns(values, f"y[{number}]", given[0], "y[0]")
+        outputs.append(output)
+    names = getattr(given[0], "columns", None)
+    names = [f"y{i}" for i in range(outputs[0].shape[1])] if names is None else names
+    return outputs, [str(name) for name in names]
