@@ -1,0 +1,1 @@
+"""Forecasts of whole recordings: what the forecaster is made of."""
