@@ -234,10 +234,7 @@ def find_analogs(
         row, places, distances = _find_minima(
             states, present, has_window, window, reach, ages.min()
         )
-        follows_on = ahead[places] >= follows.min()
-        places, distances = _tabulate(
-            row[follows_on], places[follows_on], distances[follows_on], len(present)
-        )
+        places, distances = _tabulate(row, places, distances, len(present))
         back = present[:, np.newaxis] - places
         widest = _pick(places, places >= 0, exclusion, n_analogs)
         for k, (age, follow) in enumerate(zip(ages, follows, strict=True)):
