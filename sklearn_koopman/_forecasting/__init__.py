@@ -1,0 +1,1 @@
+"""What the forecaster of recordings needs besides a regressor."""
