@@ -312,6 +312,23 @@ def test_bands_end_where_they_know_nothing(band):
     assert np.isinf(wide[~np.isnan(wide)]).all()
 
 
+@pytest.mark.parametrize("band", [plus_band, minmax_band])
+def test_rounding_of_the_coverage_opens_no_band(band):
+    drawn = draw_models(np.random.default_rng(16), 9, 9, 0.5)
+    rounded = 0.9 + 1e-10
+    check_coverage(rounded, 9)
+    assert_array_equal(band(*drawn, rounded), band(*drawn, 0.9))
+    assert np.isfinite(band(*drawn, 0.9)).all()
+
+
+def test_a_model_that_diverges_leaves_the_band_open():
+    drawn = draw_models(np.random.default_rng(15), 9, 9, 0.5)
+    drawn[0][4, 2, 0, 1] = -np.inf
+    found = plus_band(*drawn, 0.7)
+    assert_array_equal(found[2, 0, 1], [-np.inf, np.inf])
+    assert np.count_nonzero(np.isinf(found)) == 2
+
+
 # --- what the bands cover -----------------------------------------------------------
 
 

@@ -280,7 +280,8 @@ def plus_band(
     Returns
     -------
     intervals : ndarray of shape (n_rows, n_horizons, n_outputs, 2)
-        Lower and upper ends; NaN where a model has no prediction.
+        Lower and upper ends; NaN where a model has no prediction, infinite where
+        that of a model is.
 
     Notes
     -----
