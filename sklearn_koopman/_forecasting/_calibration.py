@@ -111,9 +111,10 @@ def check_coverage(coverage: Any, n_units: int | Indices) -> None:
     """
     check_level(coverage)
     n_least = int(np.min(n_units))
-    if coverage <= n_least / (n_least + 1) + TOLERANCE:
+    level = coverage * (1 - TOLERANCE)
+    needed = int(np.ceil(level / (1 - level)))
+    if n_least >= needed:
         return
-    needed = int(np.ceil((coverage - TOLERANCE) / (1 - coverage + TOLERANCE)))
     largest = np.floor(1000 * n_least / (n_least + 1)) / 1000
     where = " at some horizon" if n_least < np.max(n_units) else ""
     lower = f"ask for a coverage of at most {largest:g}, " if n_least else ""
