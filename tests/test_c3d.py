@@ -297,3 +297,9 @@ def test_damage_is_refused_before_it_crashes(write, data):
     with pytest.raises(ValueError, match=r"damaged|cut") as info:
         load_markers(path)
     assert str(info.value).startswith(f"{path}: ")
+
+
+def test_a_number_that_signals_its_damage_does_not_warn(write):
+    scale = b"GEN_SCALE\x09\0\x04\0"
+    data = damage(scale + floats([1.0]), scale + b"\1\0\x80\x7f")
+    assert load_markers(write(data)).names == ["Hip", "Knee"]

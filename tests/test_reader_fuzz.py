@@ -400,6 +400,7 @@ def test_much_damage(sample):
             r"body part 'hip' has the columns \['x', 'y', 'likelihood', 'x'",
         ),
         ("DeepLabCut", "coords,", "0,", "lines 1 to 4: expected the rows"),
+        ("Qualisys", "\tHip", "\t", r"no marker 'Hip'.*holds \['Knee'\]"),
         ("Qualisys", "\t100\n", "\tinf\n", "does not say how many frames"),
         ("Qualisys", "\t100\n", "\tfast\n", "does not say how many frames"),
         ("Qualisys", "\n910.25\t", "\n910.25x", "^line 7: found 5 fields"),

@@ -148,7 +148,7 @@ def _read(dataset: Any) -> Recording:
         SINGULAR.get(name, name): np.asarray(coord)
         for name, coord in dataset.position.coords.items()
     }
-    position = _arrange(dataset.position, "position")
+    position = _arrange(dataset.position, "position", ORDER)
     n_frames, n_individuals, n_keypoints, n_axes = position.shape
     if not n_frames:
         raise ValueError("position has no frames; pass a recording of several.")
@@ -159,66 +159,63 @@ def _read(dataset: Any) -> Recording:
         )
     fields = [position[..., axes.index(axis)] for axis in sorted(axes)]
     confidence = getattr(dataset, "confidence", None)
-    has_confidence = confidence is not None and np.isfinite(confidence.values).any()
-    if has_confidence:
-        likelihood = _arrange(confidence, "confidence")[..., 0]
+    if confidence is not None and np.isfinite(confidence.values).any():
+        likelihood = _arrange(confidence, "confidence", ORDER[:-1])
         fields.append(np.broadcast_to(likelihood, position.shape[:3]))
-    width = len(fields)
-    individuals = _names(coords, "individual") or [
-        f"id_{i}" * (n_individuals > 1) for i in range(n_individuals)
-    ]
-    keypoints = _names(coords, "keypoint") or [
-        f"keypoint_{i}" for i in range(n_keypoints)
-    ]
-    markers = [
-        Marker(
-            keypoint,
-            range(place * width, place * width + n_axes),
-            individual,
-            place * width + n_axes if has_confidence else None,
-        )
-        for place, (individual, keypoint) in enumerate(product(individuals, keypoints))
-    ]
     values = np.stack(fields, axis=3).reshape(n_frames, -1)
-    labels = [""] * values.shape[1]
-    if "time" in coords:
+    individuals = _names(coords, "individual") or _number("id", n_individuals)
+    keypoints = _names(coords, "keypoint") or _number("keypoint", n_keypoints)
+    if n_individuals == 1 and "individual" not in coords:
+        individuals = [""]
+    markers: list[Marker] = []
+    for individual, name in product(individuals, keypoints):
+        start = len(fields) * len(markers)
+        end = start + n_axes
+        likelihood_column = end if len(fields) > n_axes else None
+        markers.append(Marker(name, range(start, end), individual, likelihood_column))
+    has_time = "time" in coords
+    if has_time:
         values = np.column_stack([values, _time(coords["time"])])
-        labels.append("time")
     fps, time_unit = dataset.attrs.get("fps"), dataset.attrs.get("time_unit")
+    n_columns = values.shape[1]
     return Recording(
-        table=Table(values, labels, range(n_frames), {}, "frame"),
+        table=Table(values, ["time"] * n_columns, range(n_frames), {}, "frame"),
         markers=markers,
         rate=float(fps) if fps else None,
         rate_name="fps",
         unit=PIXELS if n_axes == 2 else None,
-        stamps=len(labels) - 1 if "time" in coords else None,
+        stamps=n_columns - 1 if has_time else None,
         is_seconds={"seconds": True, "frames": False}.get(time_unit),
     )
 
 
-def _arrange(variable: Any, name: str) -> Array:
-    """Return the values of a variable over all dimensions, in their order."""
+def _arrange(variable: Any, name: str, order: Sequence[str]) -> Array:
+    """Return the values of a variable over some dimensions, in their order."""
     dims = [SINGULAR.get(dim, dim) for dim in variable.dims]
-    needed = ORDER if name == "position" else ORDER[:-1]
     for dim in dims:
-        if dim not in needed:
+        if dim not in order:
             raise ValueError(
                 f"{name} has the dimensions {variable.dims}; select one of {dim!r}, as "
                 f"by dataset.isel({dim}=0)."
             )
-    if "time" not in dims or (name == "position" and "space" not in dims):
+    if not {"time", "space"} & {*order} <= {*dims}:
         raise ValueError(
             f"{name} has the dimensions {variable.dims}; pass all of time and space."
         )
     values = np.asarray(variable.values, dtype=np.float64)
-    axes = [dims.index(dim) for dim in ORDER if dim in dims]
     sizes = dict(zip(dims, values.shape, strict=True))
-    return values.transpose(axes).reshape([sizes.get(dim, 1) for dim in ORDER])
+    values = values.transpose([dims.index(dim) for dim in order if dim in dims])
+    return values.reshape([sizes.get(dim, 1) for dim in order])
 
 
 def _names(coords: dict[str, Any], dim: str) -> list[str]:
     """Return the names along a dimension, or of the one that was selected."""
     return [str(name) for name in np.atleast_1d(coords.get(dim, []))]
+
+
+def _number(name: str, count: int) -> list[str]:
+    """Return names as movement gives them to what has none."""
+    return [f"{name}_{i}" for i in range(count)]
 
 
 def _time(coord: Any) -> Array:

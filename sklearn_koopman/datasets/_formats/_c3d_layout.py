@@ -110,7 +110,8 @@ def _read_numbers(content: bytes, processor: int) -> Array:
     if processor == DEC and kind == 4:  # halves change places, the exponent is 2 more
         halves = numbers.view("<u2").reshape(-1, 2)[:, ::-1]
         numbers = np.ascontiguousarray(halves).view("<f4")[:, 0] / 4
-    return numbers.astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a NaN that signals is one, too
+        return numbers.astype(np.float64)
 
 
 def _check_description(content: bytes) -> None:

@@ -37,8 +37,9 @@ def _read(file: File) -> Recording:
     warn_of_count("NO_OF_FRAMES", head.get("NO_OF_FRAMES", [""])[0], [len(table)])
     markers = []
     for column, name in zip(range(len(clocks), len(labels), 3), names, strict=True):
-        individual, bare = split_prefix(name)
-        markers.append(Marker(bare, range(column, column + 3), individual))
+        if name:
+            individual, bare = split_prefix(name)
+            markers.append(Marker(bare, range(column, column + 3), individual))
     return Recording(
         table=table,
         markers=markers,
