@@ -11,12 +11,27 @@ from sklearn_koopman._forecasting._calibration import (
     count_units,
     largest_scores,
     measure_scale,
-    minmax_band,
     mixture_quantile,
-    plus_band,
     pooled_quantile,
     symmetric_band,
 )
+from sklearn_koopman._forecasting._calibration import minmax_band as minmax_of_rows
+from sklearn_koopman._forecasting._calibration import plus_band as plus_of_rows
+
+
+def plus_band(predictions, scores, units, models, scale, coverage):
+    """The band where the scale of a model is the same in all rows."""
+    return plus_of_rows(
+        predictions, scores, units, models, scale[:, np.newaxis], coverage
+    )
+
+
+def minmax_band(predictions, scores, units, models, scale, coverage):
+    """The band where the scale of a model is the same in all rows."""
+    return minmax_of_rows(
+        predictions, scores, units, models, scale[:, np.newaxis], coverage
+    )
+
 
 # Means of draws are compared with what is promised less this many standard errors of
 # the mean: a true promise fails for one seed in 30,000.
@@ -409,6 +424,6 @@ def test_bands_of_left_out_units_cover_what_is_promised(n_folds):
 
 
 def test_guarantees_are_stated_for_every_method():
-    assert set(GUARANTEES) == {"split", "plus", "minmax", "pooled"}
+    assert set(GUARANTEES) == {"draws", "mixture", "plus", "minmax", "pooled"}
     assert GUARANTEES["plus"].startswith("at least 1 - 2 alpha")
     assert GUARANTEES["minmax"].startswith("at least 1 - alpha")

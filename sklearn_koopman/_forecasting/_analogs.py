@@ -13,6 +13,8 @@ from sklearn.base import BaseEstimator
 from .._utils._typing import Array, Indices, Mask
 from .._utils._validation import check_integer, check_number
 
+# A quarter of the expected distance of two windows that have nothing in common.
+SIMILAR = 0.5
 SHORTEST_WINDOW = 10  # windows of 5 to 20 samples served walking at 150 Hz alike
 
 # Distances of a block of present rows: 1 MB, which stays in the cache.
@@ -69,7 +71,8 @@ class Analogs(BaseEstimator):
     Nothing is learned, and a new recording needs no fit. Row i depends on rows up to i
     alone, and on no more than the last ``max_past + window + 1``.
 
-    Windows, and analogs with what followed them, lie on one side of every gap. Analogs
+    A window that differs by more than 0.5 is no analog; two that have nothing in common
+    differ by 2 on average. Windows, and analogs with what followed them, lie on one side of every gap. Analogs
     come from all pieces between gaps. At the ends of a piece one neighbour suffices for
     a local minimum. Of equal distances the later row is taken first. Windows count as
     equal if the root of their distance is at most 8 times the machine epsilon times the
@@ -196,6 +199,7 @@ def find_analogs(
     bandwidth: float,
     exclusion: int,
     max_past: int | None,
+    max_distance: float = np.inf,
 ) -> AnalogSet:
     """Find the analogs of some rows of a recording, and their weights.
 
@@ -216,6 +220,8 @@ def find_analogs(
         What the columns are divided by.
     window, n_analogs, bandwidth, exclusion, max_past : int or float
         As in :class:`Analogs`, with numbers for `window` and `exclusion`.
+    max_distance : float, default=inf
+        The largest distance of an analog.
 
     Returns
     -------
@@ -234,6 +240,8 @@ def find_analogs(
         row, places, distances = _find_minima(
             states, present, has_window, window, reach, ages.min()
         )
+        similar = distances <= max_distance
+        row, places, distances = row[similar], places[similar], distances[similar]
         places, distances = _tabulate(row, places, distances, len(present))
         back = present[:, np.newaxis] - places
         widest = _pick(places, places >= 0, exclusion, n_analogs)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._utils._typing import Array, Indices
-from ._analogs import Analogs, find_analogs
+from ._analogs import SIMILAR, Analogs, find_analogs
 from ._tracks import Track
 
 DIRECT, LAST, LINEAR, ANALOGS, CUSTOM = "direct", "last", "linear", "analogs", "custom"
@@ -93,16 +93,16 @@ class Baselines:
         those of the analogs.
         """
         analogs, horizons = self.analogs, self.horizons
-        exclusion = analogs.exclusion
         # The first set serves the deviation: one for all horizons.
         follows = np.concatenate([[0], horizons])
         found = find_analogs(
             track.states,
             track.piece,
             rows,
-            np.maximum(follows, exclusion),
+            np.maximum(follows, analogs.exclusion),
             follows,
             scale=self.scale,
+            max_distance=SIMILAR,
             **analogs.get_params(),
         )
         has_analogs = (found.weights > 0).any(axis=2)

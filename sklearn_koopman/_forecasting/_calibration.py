@@ -26,7 +26,8 @@ from .._utils._validation import check_number
 # is compared with those of its own fold, which may cost as much as they weigh.
 _FOLDS = ", less (1 - F / K) / (F + 1) if the K units are left out in F equal folds"
 GUARANTEES = {
-    "split": "at least 1 - alpha",
+    "draws": "at least 1 - alpha, if larger errors are rarer",
+    "mixture": "at least 1 - alpha",
     "plus": "at least 1 - 2 alpha" + _FOLDS,
     "minmax": "at least 1 - alpha" + _FOLDS,
     "pooled": "none",
@@ -165,6 +166,63 @@ def mixture_quantile(scores: Array, units: Indices, coverage: float) -> Array:
     return quantile
 
 
+def expected_quantile(scores: Array, units: Indices, coverage: float) -> Array:
+    """Return the expected quantile of one score of each unit, drawn at random.
+
+    Of K scores, one of each unit, the ceil(coverage (K + 1))-th smallest covers a score
+    of a new unit with a probability of at least `coverage`, as all of them are
+    exchangeable. This is its mean over all draws, which are not carried out. The mean
+    covers as much if larger errors are rarer (if the distribution function of scores is
+    concave from the quantile on), and is narrower than `mixture_quantile`, which
+    covers up to 1 / (K + 1) more than is asked for.
+
+    Parameters
+    ----------
+    scores : ndarray of shape (n_rows, n_horizons, n_outputs)
+        Scores, NaN where there is no error.
+    units : ndarray of shape (n_rows,)
+        The unit of each row, a number from 0.
+    coverage : float
+        The level.
+
+    Returns
+    -------
+    quantile : ndarray of shape (n_horizons, n_outputs)
+        The mean. Infinite where the units do not support the level.
+
+    Notes
+    -----
+    With the share F_i(t) of the scores of unit i that are at most t, the quantile of a
+    draw is at most t with the probability that at most K - r of K independent events
+    of the probabilities 1 - F_i(t) happen, r = ceil(coverage (K + 1)). The cost is that
+    of sorting the rows, times K (K - r + 1).
+    """
+    quantile = np.empty(scores.shape[1:])
+    for cell, values, own in _cells(scores, units):
+        quantile[cell] = _expected(values, own, coverage)
+    return quantile
+
+
+def _expected(values: Array, own: Indices, coverage: float) -> float:
+    """Return the expected quantile of one value of each unit."""
+    present = np.unique(own)
+    n_above = len(present) - int(np.ceil(coverage * (len(present) + 1) - TOLERANCE))
+    if n_above < 0:
+        return np.inf
+    levels = np.unique(values)
+    # Entry m: the probability that so many of the units so far are above each level.
+    probability = np.zeros((n_above + 1, len(levels)))
+    probability[0] = 1.0
+    for unit in present:
+        sizes = np.sort(values[own == unit])
+        below = np.searchsorted(sizes, levels, "right") / len(sizes)
+        moved = probability[:-1] * (1 - below)
+        probability *= below
+        probability[1:] += moved
+    reached = probability.sum(axis=0)
+    return float(levels @ np.diff(reached, prepend=0.0))
+
+
 def pooled_quantile(scores: Array, coverage: float) -> Array:
     """Return the quantile of the scores of all rows, for each horizon and output.
 
@@ -196,7 +254,7 @@ def symmetric_band(predictions: Array, half_width: Array) -> Array:
     ----------
     predictions : ndarray of shape (n_rows, n_horizons, n_outputs)
         The predictions.
-    half_width : ndarray of shape (n_horizons, n_outputs)
+    half_width : ndarray, broadcast to (n_rows, n_horizons, n_outputs)
         The quantile of the scores, times the scale.
 
     Returns
@@ -231,8 +289,8 @@ def minmax_band(
         The unit of each row of scores, a number from 0.
     models : ndarray of shape (n_units,)
         The model that has left out each unit. Units of one fold share a model.
-    scale : ndarray of shape (n_models, n_horizons, n_outputs)
-        The scale by which errors of each model were divided.
+    scale : ndarray, broadcast to (n_models, n_rows, n_horizons, n_outputs)
+        The scale by which errors of each model are divided in such rows.
     coverage : float
         The coverage.
 
@@ -242,7 +300,7 @@ def minmax_band(
         Lower and upper ends; NaN where a model has no prediction.
     """
     used = np.unique(models)
-    reach = (mixture_quantile(scores, units, coverage) * scale[used])[:, np.newaxis]
+    reach = mixture_quantile(scores, units, coverage) * scale[used]
     lower = (predictions[used] - reach).min(axis=0)
     upper = (predictions[used] + reach).max(axis=0)
     return np.stack([lower, upper], axis=-1)
@@ -273,8 +331,8 @@ def plus_band(
         The unit of each row of scores, a number from 0.
     models : ndarray of shape (n_units,)
         The model that has left out each unit. Units of one fold share a model.
-    scale : ndarray of shape (n_models, n_horizons, n_outputs)
-        The scale by which errors of each model were divided.
+    scale : ndarray, broadcast to (n_models, n_rows, n_horizons, n_outputs)
+        The scale by which errors of each model are divided in such rows.
     coverage : float
         The coverage.
 
@@ -295,18 +353,17 @@ def plus_band(
     intervals[:] = -np.inf, np.inf
     missing = np.isnan(predictions[np.unique(models)]).any(axis=0)
     scores = np.broadcast_to(scores, (len(scores), *predictions.shape[2:]))
+    scale = np.broadcast_to(scale, predictions.shape)
     for (horizon, output), values, own in _cells(scores, units):
         present = np.unique(own)
         total = coverage * (len(present) + 1)
         if total * (1 - TOLERANCE) > len(present):
             continue
-        sizes = [
-            np.sort(values[own == unit]) * scale[models[unit], horizon, output]
-            for unit in present
-        ]
+        sizes = [np.sort(values[own == unit]) for unit in present]
         means = predictions[models[present], :, horizon, output]
-        intervals[:, horizon, output, 0] = -_upper_end(-means, sizes, total)
-        intervals[:, horizon, output, 1] = _upper_end(means, sizes, total)
+        units_of = scale[models[present], :, horizon, output]
+        intervals[:, horizon, output, 0] = -_upper_end(-means, units_of, sizes, total)
+        intervals[:, horizon, output, 1] = _upper_end(means, units_of, sizes, total)
     intervals[missing] = np.nan
     return intervals
 
@@ -321,13 +378,17 @@ def _cells(
         yield (horizon, output), values[counts], units[counts]
 
 
-def _upper_end(means: Array, sizes: Sequence[Array], total: float) -> Array:
-    """Return the quantile of the mixture of sizes, shifted by the means of their units.
+def _upper_end(
+    means: Array, scale: Array, sizes: Sequence[Array], total: float
+) -> Array:
+    """Return the quantile of the mixture of sizes, scaled and shifted unit by unit.
 
     Parameters
     ----------
     means : ndarray of shape (n_units, n_rows)
         The prediction for each unit, of the model that has left it out.
+    scale : ndarray of shape (n_units, n_rows)
+        What the sizes of each unit are multiplied by.
     sizes : sequence of n_units ndarrays
         The sizes of the errors of each unit, sorted.
     total : float
@@ -346,38 +407,46 @@ def _upper_end(means: Array, sizes: Sequence[Array], total: float) -> Array:
     rows = np.flatnonzero(np.isfinite(means).all(axis=0))
     if common == np.inf or not len(rows):
         return end
-    means = means[:, rows]
-    magnitude = np.abs(means).max(axis=0) + common
-    # The end lies between those that the least and the greatest mean of all would have.
-    low = means.min(axis=0) + common - TOLERANCE * magnitude
-    high = means.max(axis=0) + common + TOLERANCE * magnitude
+    means, scale = means[:, rows], scale[:, rows]
+    magnitude = (np.abs(means) + scale * common).max(axis=0)
+    # The end lies between those that one unit alone would have with the same masses.
+    low = (means + scale * common).min(axis=0) - TOLERANCE * magnitude
+    high = (means + scale * common).max(axis=0) + TOLERANCE * magnitude
     fenced = [np.concatenate([[-np.inf], own, [np.inf]]) for own in sizes]
     total = total * (1 - TOLERANCE) + weights.sum()  # places count the fence below, too
-    below, above = _find_places(low, means, fenced), _find_places(high, means, fenced)
+    below = _find_places(low, means, scale, fenced)
+    above = _find_places(high, means, scale, fenced)
     while len(rows):
-        first = np.min(_take_sums(below, means, fenced), axis=0)
-        last = np.max(_take_sums(above - 1, means, fenced), axis=0)
+        first = np.min(_take_sums(below, means, scale, fenced), axis=0)
+        last = np.max(_take_sums(above - 1, means, scale, fenced), axis=0)
         is_open = last - first > ROUNDING * magnitude
         end[rows] = last
-        rows, magnitude, means = rows[is_open], magnitude[is_open], means[:, is_open]
+        rows, magnitude = rows[is_open], magnitude[is_open]
+        means, scale = means[:, is_open], scale[:, is_open]
         below, above = below[:, is_open], above[:, is_open]
-        places = _find_places((first + last)[is_open] / 2, means, fenced)
+        places = _find_places((first + last)[is_open] / 2, means, scale, fenced)
         is_reached = weights @ places >= total
         below = np.where(is_reached, below, places)
         above = np.where(is_reached, places, above)
     return end
 
 
-def _find_places(ends: Array, means: Array, sizes: Sequence[Array]) -> Indices:
-    """Find the first size of each unit that, with its mean, is above each end."""
-    units = zip(means, sizes, strict=True)
-    return np.array([np.searchsorted(own, ends - mean, "right") for mean, own in units])
+def _find_places(
+    ends: Array, means: Array, scale: Array, sizes: Sequence[Array]
+) -> Indices:
+    """Find the first size of each unit that, scaled and shifted, is above each end."""
+    units = zip(means, scale, sizes, strict=True)
+    return np.array(
+        [np.searchsorted(own, (ends - mean) / by, "right") for mean, by, own in units]
+    )
 
 
-def _take_sums(places: Indices, means: Array, sizes: Sequence[Array]) -> Array:
-    """Return the sums of the means and the sizes at these places."""
-    units = zip(places, means, sizes, strict=True)
-    return np.array([mean + own[place] for place, mean, own in units])
+def _take_sums(
+    places: Indices, means: Array, scale: Array, sizes: Sequence[Array]
+) -> Array:
+    """Return the sums of the means and the scaled sizes at these places."""
+    units = zip(places, means, scale, sizes, strict=True)
+    return np.array([mean + by * own[place] for place, mean, by, own in units])
 
 
 def _quantile(values: Array, masses: Array, total: float) -> float:
