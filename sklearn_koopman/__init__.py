@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 from ._utils._warnings import ExtrapolationWarning
 from .centers import SeparatedCenterSelector
 from .edmd import KernelEDMD, forecast
+from .forecaster import Analogs, KoopmanForecaster
 from .regression import KoopmanKernelRegressor
 from .scoring import make_forecast_scorer, make_valid_time_scorer
 from .search import KoopmanKernelRegressorCV
@@ -15,8 +16,10 @@ if TYPE_CHECKING:
     from . import datasets, diagnostics, kinematics, plotting
 
 __all__ = [
+    "Analogs",
     "ExtrapolationWarning",
     "KernelEDMD",
+    "KoopmanForecaster",
     "KoopmanKernelRegressor",
     "KoopmanKernelRegressorCV",
     "SeparatedCenterSelector",

@@ -2,27 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Self
 
 import numpy as np
-from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.metrics import r2_score
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
-from sklearn.utils import Tags
+from sklearn.utils import Bunch, Tags
 from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
 
 from ._forecasting._analogs import Analogs
-from ._forecasting._baselines import ANALOGS, CUSTOM, DIRECT, LAST, LINEAR, Baselines
-from ._forecasting._blending import blend
+from ._forecasting._baselines import ANALOGS, DIRECT, Baselines, find_candidates
+from ._forecasting._blending import blend, positive, rms, spread
+from ._forecasting._calibration import (
+    GUARANTEES,
+    check_coverage,
+    check_level,
+    count_units,
+    expected_quantile,
+    largest_scores,
+    minmax_band,
+    mixture_quantile,
+    plus_band,
+    pooled_quantile,
+    symmetric_band,
+)
 from ._forecasting._corrections import Ahead, is_operator, predict_rows
-from ._forecasting._tracks import Track, Tracks, as_list, read_tracks
+from ._forecasting._tracks import Track, as_list, check_horizons, read_tracks
 from ._forecasting._training import Design, fit_candidate, horizon_step
+from ._forecasting._units import as_units, split_units, take
 from ._utils._embedding import EMBEDDINGS, check_offsets
 from ._utils._typing import Array, Indices
-from ._utils._validation import check_choice, check_sample_weight
+from ._utils._validation import check_choice, check_flag, check_sample_weight
 from ._utils._warnings import warn
 from .centers import SeparatedCenterSelector
 from .search import KoopmanKernelRegressorCV
@@ -30,15 +44,169 @@ from .trajectories import TrajectoryKFold
 
 __all__ = ["Analogs", "KoopmanForecaster"]
 
-CANDIDATES = (DIRECT, LAST, LINEAR, ANALOGS)
 MAX_FOLDS = 5
+# Methods of bands whose half width is a quantile of scores.
+QUANTILES: dict[str, Callable[..., Array]] = {
+    "draws": expected_quantile,
+    "mixture": mixture_quantile,
+    "pooled": lambda scores, _, coverage: pooled_quantile(scores, coverage),
+}
+BANDS = {"plus": plus_band, "minmax": minmax_band}
 # Of the estimator that None stands for.
 N_CENTERS = 400
 ALPHAS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 
 
 class KoopmanForecaster(RegressorMixin, BaseEstimator):
-    """TODO"""
+    r"""Forecast recordings from their own past and from what others taught.
+
+    **A sample is a whole recording**: `X` is a list of arrays or DataFrames, one for
+    each trial. A forecast is made of two parts. A *baseline* says what needs no
+    learning, such as what followed the moments of the recording's own past that are
+    most like the present one (:class:`Analogs`). On top of it a *correction* is learned
+    across recordings, by a kernel estimate of the Koopman operator or by any regressor,
+    from the state, its past and its deviation from those moments. Errors of recordings
+    that were left out choose the baseline, say how much of the correction to believe,
+    and make bands that hold.
+
+    New in version 0.1.
+
+    Parameters
+    ----------
+    estimator : estimator instance, default=None
+        What learns the correction: a regressor or pipeline that takes several outputs.
+        All horizons are outputs of one fit. None means a scaler and a
+        :class:`~sklearn_koopman.KoopmanKernelRegressorCV` with up to 400 centres and a
+        linear trend, which chooses its scale and weight by recordings left out. A
+        :class:`~sklearn_koopman.KernelEDMD`, or a pipeline that ends in one, forecasts
+        by the powers of its operator, without a baseline.
+    targets : sequence of str or int, default=None
+        The columns of `X` that are forecast, by name or number; None means all. They
+        are part of the past, too.
+    horizons : sequence of int, default=(1,)
+        How many samples ahead, in any order.
+    delays : int or sequence of int, default=(0, 5, 10)
+        The past that a state holds: the ages of its copies in samples, from 0 on; or
+        their number.
+    embedding : {"copies", "differences"}, default="copies"
+        Copies of earlier samples, or their divided differences, as in
+        :func:`~sklearn_koopman.trajectory_pairs`.
+    baseline : {"auto", "last", "linear", "analogs"}, Analogs, callable or None, \
+default="auto"
+        To what the correction is learned.
+
+        - None: to nothing; the estimator forecasts by itself.
+        - "last": the outputs remain as they are.
+        - "linear": they go on as in the last step.
+        - "analogs", or :class:`Analogs` with parameters: what followed the windows of
+          this recording that are most similar to the present one.
+        - a callable of (recording, horizons) that returns an array of shape (n_rows,
+          n_horizons, n_outputs), NaN where it has none, each row from rows up to it.
+        - "auto": the best of the first four at each horizon. One that speaks of less
+          than half of the rows is not chosen. With `y`, or with an operator, None.
+    n_jobs : int, default=None
+        Number of jobs that fit the baselines of "auto". None means 1 unless in a
+        :obj:`joblib.parallel_config` context.
+
+    Attributes
+    ----------
+    baselines_ : ndarray of str of shape (n_horizons,)
+        The baseline at each horizon; "direct" stands for None, "custom" for a callable.
+    horizon_weights_ : ndarray of shape (n_horizons,)
+        What the correction is multiplied by, between 0 and 1.
+    estimators_ : dict of str to estimator
+        The fitted estimator of each baseline that is used.
+    correction_scales_ : dict of str to ndarray of shape (n_horizons, n_outputs)
+        The root mean square of what each of them has learned, in the units of the
+        outputs. Estimators see it divided by this.
+    left_out_errors_ : dict of str to ndarray of shape (n_horizons, n_outputs)
+        Root mean square errors of recordings left out, in the units of the outputs: of
+        each baseline alone ("analogs") and corrected ("analogs, corrected").
+    error_scale_ : ndarray of shape (n_horizons, n_outputs)
+        The same of what is forecast; bands are multiples of it.
+    stand_in_scale_ : ndarray of shape (n_horizons, n_outputs)
+        The same of the last outputs, which stand in where there is no analog.
+    column_scale_ : ndarray of shape (n_features_in_,)
+        The standard deviation of each column in training.
+    calibration_ : :class:`~sklearn.utils.Bunch`
+        Only after :meth:`conformalize` or :meth:`fit_conformalize`: `method`,
+        `guarantee` (what is promised of the rows of a new unit), `n_units`, and the
+        errors in units of their scale, `scores`, with the number of the unit of each
+        row, `units`, and of the model that left out each unit, `models`.
+    fold_estimators_ : list of KoopmanForecaster
+        Only after :meth:`fit_conformalize`: the models that have left out units.
+    takes_outputs_ : bool
+        Whether `fit` was given `y`.
+    n_outputs_ : int
+        Number of outputs.
+    n_features_in_ : int
+        Number of columns seen during `fit`.
+    feature_names_in_ : ndarray of str of shape (n_features_in_,)
+        Their names, where the recordings have string names.
+
+    See Also
+    --------
+    Analogs : The baseline from a recording's own past.
+    sklearn_koopman.trajectories.join_recordings : Joins earlier trials to a recording.
+    sklearn_koopman.make_horizon_scorer : Scores in a search.
+    sklearn_koopman.trajectory_pairs : Rows for regressors, one horizon at a time.
+
+    Notes
+    -----
+    With the baseline :math:`b_h`, the correction :math:`c_h` and the weight
+    :math:`w_h`, the forecast of the outputs h samples after row k is
+
+    .. math:: \hat y_{k+h} = b_h(x_{\le k}) + w_h\, c_h(x_k, x_{k-d_1}, \ldots),
+       \quad 0 \le w_h \le 1.
+
+    :math:`c_h` is fitted to :math:`y_{k+h} - b_h`, divided by its root mean square, of
+    all rows that have a past and outputs at all horizons. Then recordings are left out,
+    in up to five folds (blocks of rows of a single recording), and the weights and the
+    baseline of each horizon are those of the smallest squared error, in units of the
+    outputs' standard deviations. A search, such as the one that None stands for,
+    chooses once, on all recordings.
+
+    Rows that hold NaN, masked values, or follow a hole in an index are gaps. No past,
+    no target and nothing that followed an analog reaches across one.
+
+    Nothing of the future enters: the forecast of row k depends on rows up to k alone.
+
+    The cost of `fit` is that of six fits of the estimator for each baseline, and of the
+    analogs of all rows, which takes O(T^2) for T rows without `max_past`.
+
+    References
+    ----------
+    .. [1] N. Powell, B. Liu, J. Guo, S. T. Parachuri and A. Kurdila, "Koopman Methods
+       for Estimation of Animal Motions over Unknown Submanifolds",
+       arXiv:2203.05646, 2022.
+
+    .. [2] R. Alexander and D. Giannakis, "Operator-theoretic framework for forecasting
+       nonlinear time series with kernel analog techniques", Physica D 409, 2020.
+
+    .. [3] Y. Lee, R. F. Barber and R. Willett, "Distribution-free inference with
+       hierarchical data", arXiv:2306.06342, 2023.
+
+    .. [4] R. F. Barber, E. J. Candes, A. Ramdas and R. J. Tibshirani, "Predictive
+       inference with the jackknife+", Annals of Statistics 49, 2021.
+
+    Examples
+    --------
+    Where will the ankle be in 0.1 and 0.3 s? Eleven walks at 100 Hz to learn from, ten
+    to calibrate a band, and one that goes on:
+
+    >>> import numpy as np
+    >>> from sklearn_koopman import KoopmanForecaster
+    >>> from sklearn_koopman.datasets import make_walking
+    >>> walks = make_walking(22, n_strides=6, rate=50, random_state=0)
+    >>> X = [np.hstack(pair) for pair in zip(walks.trajectories, walks.outputs)]
+    >>> forecaster = KoopmanForecaster(
+    ...     targets=[2, 3], horizons=[5, 15], delays=(0, 2, 4), baseline="analogs"
+    ... )
+    >>> forecaster = forecaster.fit(X[::2]).conformalize(X[1:20:2])
+    >>> ankle, band = forecaster.forecast_interval([X[21][:200]], coverage=0.9)
+    >>> ankle.shape, band.shape
+    ((1, 2, 2), (1, 2, 2, 2))
+    """
 
     def __init__(
         self,
@@ -60,11 +228,46 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         self.n_jobs = n_jobs
 
     def fit(self, X: Any, y: Any = None) -> Self:
-        """TODO"""
-        offsets, horizons = self._check_parameters()
-        names = self._candidates(has_outputs=y is not None)
+        """Learn the correction, and choose baselines and weights by what is left out.
+
+        A calibration of bands is undone.
+
+        Parameters
+        ----------
+        X : list of array-like of shape (n_rows, n_features)
+            The recordings, evenly sampled at one rate, in any units; arrays,
+            DataFrames, or both. NaN and masked values are gaps.
+        y : list of array-like of shape (n_rows,) or (n_rows, n_outputs), default=None
+            Outputs that are measured in training only, and are not part of the past;
+            None takes the `targets`. They stand in the rows in which they were
+            measured, **not shifted**: the `y` of
+            :class:`~sklearn_koopman.KoopmanKernelRegressor` is one step later than its
+            row, here the forecaster looks ahead by itself.
+
+        Returns
+        -------
+        self : KoopmanForecaster
+            The fitted forecaster.
+
+        Raises
+        ------
+        ValueError
+            If `X` is no list of recordings with the same columns and rate, or `y` does
+            not belong to it; if recordings have no row with a past and with outputs at
+            all horizons, which the message names; if both `y` and `targets` are given,
+            or `y` and a baseline; if a parameter is outside its range.
+
+        Warns
+        -----
+        UserWarning
+            If angles wrap. Encode them by
+            :class:`~sklearn_koopman.kinematics.RotationEncoder`.
+        """
+        self._check_parameters()
+        has_powers = self.estimator is not None and is_operator(self.estimator)
+        names = find_candidates(self.baseline, y is not None, has_powers)
         read = read_tracks(X, y, self.targets)
-        scale = _spread([track.states for track in read.tracks])
+        scale = spread([track.states for track in read.tracks])
         design = self._design(scale)
         table = design.tabulate(as_list(X, "X"), read.tracks)
         folds = _make_folds(len(read.tracks), design.reach)
@@ -73,107 +276,380 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         estimator = self.estimator
         if estimator is None:
             estimator = _default_estimator(folds)
-        candidates = dict(
-            zip(
-                names,
-                Parallel(self.n_jobs)(
-                    delayed(fit_candidate)(name, design, table, estimator, splits)
-                    for name in names
-                ),
-                strict=True,
-            )
+        learned = Parallel(self.n_jobs)(
+            delayed(fit_candidate)(name, design, table, estimator, splits)
+            for name in names
         )
-        unit = _spread([track.outputs for track in read.tracks])
+        candidates = dict(zip(names, learned, strict=True))
+        unit = spread([track.outputs for track in read.tracks])
         left_out = {name: each.left_out for name, each in candidates.items()}
         mixture = blend(left_out, table.truth, unit)
         chosen = sorted({*mixture.names.tolist()})
+        for name in ("calibration_", "fold_estimators_", "feature_names_in_"):
+            self.__dict__.pop(name, None)
         self.estimators_ = {name: candidates[name].fitted for name in chosen}
         self.correction_scales_ = {name: candidates[name].scale for name in chosen}
         self.baselines_ = mixture.names
         self.horizon_weights_ = mixture.weights
-        self.error_scale_ = mixture.scale
         self.left_out_errors_ = mixture.errors
+        self.error_scale_ = positive(mixture.scale)
+        self.stand_in_scale_ = positive(rms(table.truth - table.current))
         self.column_scale_ = scale
         self.n_outputs_ = table.truth.shape[2]
         self.n_features_in_ = len(read.names)
+        self.takes_outputs_ = y is not None
         if read.has_names:
             self.feature_names_in_ = np.array(read.names, dtype=object)
-        elif hasattr(self, "feature_names_in_"):
-            del self.feature_names_in_
         return self
 
     def predict(self, X: Any) -> list[Array]:
-        """TODO"""
-        check_is_fitted(self)
-        design, read = self._design(self.column_scale_), self._read(X)
-        return [
-            self._predict(design, recording, track, np.arange(len(track.states)))
-            for recording, track in zip(as_list(X, "X"), read.tracks, strict=True)
-        ]
+        """Forecast from every row of each recording.
+
+        Parameters
+        ----------
+        X : list of array-like of shape (n_rows, n_features)
+            The recordings. None of them needs a fit.
+
+        Returns
+        -------
+        forecasts : list of ndarray of shape (n_rows, n_horizons, n_outputs)
+            Entry k, h is the forecast for row ``k + horizons[h]``, made from rows up to
+            k alone, also beyond the end of the recording. NaN in rows whose past is too
+            short or holds a gap. Where the past holds no analog yet, the last outputs
+            stand in, uncorrected.
+
+        Raises
+        ------
+        ValueError
+            If the recordings are not like those of `fit`.
+        """
+        return [forecasts for forecasts, _ in self._predict(X)]
 
     def predict_baseline(self, X: Any) -> list[Array]:
-        """TODO"""
+        """Return what the baselines alone say of every row.
+
+        Parameters
+        ----------
+        X : list of array-like of shape (n_rows, n_features)
+            The recordings.
+
+        Returns
+        -------
+        forecasts : list of ndarray of shape (n_rows, n_horizons, n_outputs)
+            NaN in rows without a forecast, at horizons without a baseline, and where
+            the past holds no analog yet, so that something else stands in.
+
+        Raises
+        ------
+        ValueError
+            If the recordings are not like those of `fit`.
+        """
         check_is_fitted(self)
-        design, read = self._design(self.column_scale_), self._read(X)
-        said = []
-        for recording, track in zip(as_list(X, "X"), read.tracks, strict=True):
-            rows = np.arange(len(track.states))
+        design, said = self._design(self.column_scale_), []
+        for recording, track in self._read(X):
             past = track.embedded(design.offsets, design.embedding)
-            forecasts = np.full(
-                (len(rows), len(self.baselines_), self.n_outputs_), np.nan
-            )
+            rows = np.flatnonzero(np.isfinite(past).all(axis=1))
+            shape = (len(past), len(self.baselines_), self.n_outputs_)
+            forecasts = np.full(shape, np.nan)
             for name in self.estimators_:
                 if name != DIRECT:
-                    at = self.baselines_ == name
-                    baseline = design.baselines.say(name, recording, track, past, rows)
-                    forecasts[:, at] = baseline.forecasts[:, at]
+                    each = design.baselines.say(name, recording, track, past, rows)
+                    at = np.ix_(rows, self.baselines_ == name)
+                    forecasts[at] = each.forecasts[:, self.baselines_ == name]
             said.append(forecasts)
         return said
 
     def forecast(self, X: Any) -> Array:
-        """TODO"""
-        check_is_fitted(self)
-        design, read = self._design(self.column_scale_), self._read(X)
-        forecasts = np.concatenate(
-            [
-                self._predict(
-                    design, recording, track, np.array([len(track.states) - 1])
-                )
-                for recording, track in zip(as_list(X, "X"), read.tracks, strict=True)
-            ]
-        )
-        empty = np.flatnonzero(np.isnan(forecasts).all(axis=(1, 2)))
-        if len(empty):
-            warn(
-                f"{len(empty)} of {len(forecasts)} recordings have no forecast, the "
-                f"first is X[{empty[0]}]: their last {design.offsets[-1] + 1} rows hold "
-                "a gap, or are too few. Fill short gaps by kinematics.fill_gaps, or "
-                "end the recording before the gap."
-            )
+        """Forecast from the last row of each recording, as :meth:`predict` does.
+
+        Parameters
+        ----------
+        X : list of array-like of shape (n_rows, n_features)
+            The recordings up to the present.
+
+        Returns
+        -------
+        forecasts : ndarray of shape (n_recordings, n_horizons, n_outputs)
+            NaN where the past of the last row is too short or holds a gap.
+
+        Raises
+        ------
+        ValueError
+            If the recordings are not like those of `fit`.
+
+        Warns
+        -----
+        UserWarning
+            If a recording has no forecast.
+        """
+        forecasts = np.concatenate([f for f, _ in self._predict(X, last_only=True)])
+        self._warn_of_none(forecasts)
         return forecasts
 
-    def score(self, X: Any, y: Any = None, sample_weight: Any = None) -> float:
-        """TODO"""
-        predictions = self.predict(X)
+    def errors(self, X: Any, y: Any = None) -> list[Array]:
+        """Return the errors of the forecasts, predicted less measured.
+
+        Parameters
+        ----------
+        X : list of array-like of shape (n_rows, n_features)
+            The recordings.
+        y : list of array-like, default=None
+            The outputs, if `fit` was given some.
+
+        Returns
+        -------
+        errors : list of ndarray of shape (n_rows, n_horizons, n_outputs)
+            In the units of the outputs. NaN in rows without a forecast, or where the
+            recording has ended or a gap comes before the horizon.
+
+        Raises
+        ------
+        ValueError
+            If the recordings are not like those of `fit`.
+        """
+        forecasts = self.predict(X)
         truth = self._following(X, y)
-        weights = check_sample_weight(sample_weight, len(predictions))
+        return [f - came for f, came in zip(forecasts, truth, strict=True)]
+
+    def score(self, X: Any, y: Any = None, sample_weight: Any = None) -> float:
+        """Return R², averaged over horizons and outputs.
+
+        Parameters
+        ----------
+        X : list of array-like of shape (n_rows, n_features)
+            The recordings.
+        y : list of array-like, default=None
+            The outputs, if `fit` was given some.
+        sample_weight : array-like of shape (n_recordings,), default=None
+            The weight of each recording; each of its rows has it.
+
+        Returns
+        -------
+        score : float
+            Over all rows that have a forecast and whose outputs have come; 1 is
+            perfect, and a forecast of the mean has 0.
+
+        Raises
+        ------
+        ValueError
+            If no rows can be scored at some horizon.
+        """
+        forecasts, truth = self.predict(X), self._following(X, y)
+        weights = check_sample_weight(sample_weight, len(forecasts))
         if weights is None:
-            weights = np.ones(len(predictions))
-        of_rows = np.repeat(weights, [len(each) for each in predictions])
-        forecasts, came = np.concatenate(predictions), np.concatenate(truth)
-        scores = []
-        for at in np.ndindex(forecasts.shape[1:]):
-            predicted, true = forecasts[(slice(None), *at)], came[(slice(None), *at)]
-            rows = np.isfinite(predicted) & np.isfinite(true) & (of_rows > 0)
-            if np.count_nonzero(rows) < 2:
-                raise ValueError(
-                    f"no two rows have a forecast for horizon {self._horizons()[at[0]]} "
-                    "and an output that came; pass longer recordings."
-                )
-            scores.append(
-                r2_score(true[rows], predicted[rows], sample_weight=of_rows[rows])
+            weights = np.ones(len(forecasts))
+        of_rows = np.repeat(weights, [len(each) for each in forecasts])
+        predicted, came = np.concatenate(forecasts), np.concatenate(truth)
+        is_scored = np.isfinite(predicted + came) & (of_rows > 0)[:, None, None]
+        if is_scored.sum(axis=0).min() < 2:
+            raise ValueError(
+                "no two rows have both a forecast and outputs that came, at some "
+                "horizon; score longer recordings, or with larger weights."
             )
+        scores = []
+        for horizon, output in np.ndindex(predicted.shape[1:]):
+            rows = is_scored[:, horizon, output]
+            pair = came[rows, horizon, output], predicted[rows, horizon, output]
+            scores.append(r2_score(*pair, sample_weight=of_rows[rows]))
         return float(np.mean(scores))
+
+    def conformalize(
+        self, X: Any, y: Any = None, *, groups: Any = None, method: str = "draws"
+    ) -> Self:
+        """Calibrate bands on recordings that `fit` has not seen.
+
+        Parameters
+        ----------
+        X : list of array-like of shape (n_rows, n_features)
+            Recordings to calibrate on.
+        y : list of array-like, default=None
+            The outputs, if `fit` was given some.
+        groups : array-like of shape (n_recordings,), default=None
+            The unit, such as a person, that each recording belongs to. None takes each
+            recording as a unit. K units support a coverage of at most K / (K + 1).
+        method : {"draws", "mixture"}, default="draws"
+            How wide the bands are, in terms of the errors divided by `error_scale_`.
+
+            - "mixture": as the quantile of the mixture in which each unit has the mass
+              1 / (K + 1), spread over its rows, and infinity has 1 / (K + 1) [3]_. At
+              least the coverage is covered, whatever the errors; up to 1 / (K + 1)
+              more.
+            - "draws": as the expected quantile of one error of each unit, drawn at
+              random. Each draw covers at least what is asked, and so does their mean
+              if larger errors are rarer. It is narrower.
+
+        Returns
+        -------
+        self : KoopmanForecaster
+            The forecaster, with `calibration_`.
+
+        Raises
+        ------
+        ValueError
+            If the recordings are not like those of `fit`, or `groups` does not have one
+            label for each.
+
+        Notes
+        -----
+        The coverage is the expected share of the rows of a new unit whose outputs lie
+        in the band. It is promised for units that are **exchangeable** with those that
+        calibrate: drawn alike, so that any order of them would be as likely. Persons
+        drawn from one population are; a speed beyond all learned is not, and neither
+        are other trials of a person if the new recording is of another one.
+        """
+        check_is_fitted(self)
+        check_choice(method, "method", ("draws", "mixture"))
+        parts = self._scores(X, y)
+        units = as_units(groups, len(parts))
+        self.__dict__.pop("fold_estimators_", None)
+        self.calibration_ = Bunch(
+            method=method,
+            guarantee=GUARANTEES[method],
+            scores=np.concatenate(parts),
+            units=np.repeat(units, [len(part) for part in parts]),
+            n_units=len(np.unique(units)),
+        )
+        return self
+
+    def fit_conformalize(
+        self,
+        X: Any,
+        y: Any = None,
+        *,
+        groups: Any = None,
+        cv: Any = None,
+        method: str = "plus",
+    ) -> Self:
+        """Fit, and calibrate bands on the same recordings, leaving out each in turn.
+
+        Parameters
+        ----------
+        X : list of array-like of shape (n_rows, n_features)
+            The recordings.
+        y : list of array-like, default=None
+            Outputs that are measured in training only.
+        groups : array-like of shape (n_recordings,), default=None
+            The unit, such as a person, that each recording belongs to. None takes each
+            recording as a unit.
+        cv : int or splitter, default=None
+            How units are left out: one at a time, in so many folds, or as a splitter of
+            recordings by groups says.
+        method : {"plus", "minmax", "pooled"}, default="plus"
+            - "plus": jackknife+ [4]_. For a coverage of 1 - alpha, at least 1 - 2 alpha
+              are promised, and 1 - alpha are usual. A band need not hold the forecast.
+            - "minmax": jackknife-minmax, wider; at least 1 - alpha.
+            - "pooled": the quantile of the errors of all rows left out, about the
+              forecasts. Nothing is promised; for a handful of trials, which support no
+              coverage of 90 %.
+
+        Returns
+        -------
+        self : KoopmanForecaster
+            The forecaster, with `calibration_`; but for "pooled" also with
+            `fold_estimators_`. Each of them makes its own choices.
+
+        Raises
+        ------
+        ValueError
+            As in :meth:`fit`, if there are less than two units, or if `cv` leaves out a
+            unit twice, or parts of one.
+        """
+        check_choice(method, "method", ("plus", "minmax", "pooled"))
+        recordings = as_list(X, "X")
+        units = as_units(groups, len(recordings))
+        folds = split_units(units, cv)
+        models, scores = [], [np.empty(0)] * len(recordings)
+        model_of = np.zeros(len(np.unique(units)), dtype=np.intp)
+        for number, (train, test) in enumerate(folds):
+            model = clone(self).fit(*take(recordings, y, train))
+            for place, part in zip(
+                test, model._scores(*take(recordings, y, test)), strict=True
+            ):
+                scores[place] = part
+            models.append(model)
+            model_of[units[test]] = number
+        self.fit(X, y)
+        if method != "pooled":
+            self.fold_estimators_ = models
+        self.calibration_ = Bunch(
+            method=method,
+            guarantee=GUARANTEES[method],
+            scores=np.concatenate(scores),
+            units=np.repeat(units, [len(part) for part in scores]),
+            n_units=len(model_of),
+            models=model_of,
+        )
+        return self
+
+    def predict_interval(
+        self, X: Any, *, coverage: float = 0.9, simultaneous: bool = False
+    ) -> tuple[list[Array], list[Array]]:
+        """Forecast from every row, with bands that hold.
+
+        Parameters
+        ----------
+        X : list of array-like of shape (n_rows, n_features)
+            The recordings.
+        coverage : float, default=0.9
+            The share of rows, expected of a new unit, whose outputs are in the band.
+        simultaneous : bool, default=False
+            Whether a row counts as covered only if all horizons and outputs are, or
+            each for itself.
+
+        Returns
+        -------
+        forecasts : list of ndarray of shape (n_rows, n_horizons, n_outputs)
+            As :meth:`predict` returns them.
+        intervals : list of ndarray of shape (n_rows, n_horizons, n_outputs, 2)
+            Lower and upper ends, in the units of the outputs.
+
+        Raises
+        ------
+        ValueError
+            If bands are not calibrated, or fewer units have calibrated them than
+            `coverage` needs: 9 for 90 %, 19 for 95 %.
+        """
+        predicted, bands = [], []
+        for forecasts, band in self._bands(X, coverage, simultaneous):
+            predicted.append(forecasts)
+            bands.append(band)
+        return predicted, bands
+
+    def forecast_interval(
+        self, X: Any, *, coverage: float = 0.9, simultaneous: bool = False
+    ) -> tuple[Array, Array]:
+        """Forecast from the last row of each recording, with bands that hold.
+
+        Parameters
+        ----------
+        X : list of array-like of shape (n_rows, n_features)
+            The recordings up to the present.
+        coverage : float, default=0.9
+            As in :meth:`predict_interval`.
+        simultaneous : bool, default=False
+            As in :meth:`predict_interval`.
+
+        Returns
+        -------
+        forecasts : ndarray of shape (n_recordings, n_horizons, n_outputs)
+            As :meth:`forecast` returns them.
+        intervals : ndarray of shape (n_recordings, n_horizons, n_outputs, 2)
+            Lower and upper ends, in the units of the outputs.
+
+        Raises
+        ------
+        ValueError
+            As in :meth:`predict_interval`.
+
+        Warns
+        -----
+        UserWarning
+            If a recording has no forecast.
+        """
+        pairs = list(self._bands(X, coverage, simultaneous, last_only=True))
+        forecasts, bands = map(np.concatenate, zip(*pairs, strict=True))
+        self._warn_of_none(forecasts)
+        return forecasts, bands
 
     def __sklearn_tags__(self) -> Tags:
         """Tell that a sample is a recording, and that y is not needed."""
@@ -185,98 +661,146 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         return tags
 
     def _predict(
+        self, X: Any, *, last_only: bool = False
+    ) -> Iterator[tuple[Array, Array]]:
+        """Yield the forecasts of each recording, and the scale of their errors."""
+        check_is_fitted(self)
+        design = self._design(self.column_scale_)
+        for recording, track in self._read(X):
+            rows = np.arange(len(track.states))[-1 if last_only else 0 :]
+            yield self._predict_rows(design, recording, track, rows)
+
+    def _predict_rows(
         self, design: Design, recording: Any, track: Track, rows: Indices
-    ) -> Array:
-        """Return the forecasts of some rows of a recording."""
-        past = track.embedded(design.offsets, design.embedding)
-        horizons = design.baselines.horizons
-        forecasts = np.full((len(rows), len(horizons), self.n_outputs_), np.nan)
+    ) -> tuple[Array, Array]:
+        """Return the forecasts of some rows, and the scale of their errors."""
+        past, horizons = track.embedded(*design[:2]), design.baselines.horizons
+        is_known = np.isfinite(past[rows]).all(axis=1)
+        shape = (len(rows), len(horizons), self.n_outputs_)
+        forecasts, scale = np.full(shape, np.nan), np.empty(shape)
+        scale[:] = self.error_scale_
+        known = rows[is_known]
         for name, fitted in self.estimators_.items():
-            said = design.baselines.say(name, recording, track, past, rows)
-            features = np.hstack([past[rows], said.features])
-            known = np.isfinite(features).all(axis=1)
+            said = design.baselines.say(name, recording, track, past, known)
             each = said.forecasts.copy()
-            each[~known] = np.nan
-            if known.any():
+            features = np.hstack([past[known], said.features])
+            usable = np.isfinite(features).all(axis=1)
+            if usable.any():
                 step = horizon_step(horizons) if is_operator(fitted) else 1
                 ahead = Ahead(horizons // step, self.n_outputs_)
-                correction = predict_rows(fitted, features[known], ahead)
+                correction = predict_rows(fitted, features[usable], ahead)
                 correction *= self.correction_scales_[name]
-                each[known] += self.horizon_weights_[:, np.newaxis] * correction
-            if name == ANALOGS:  # no analog yet: all remains as it is
-                last = track.outputs[rows, np.newaxis]
-                each = np.where(np.isnan(each), last, each)
+                each[usable] += self.horizon_weights_[:, np.newaxis] * correction
+            of_rows = np.broadcast_to(self.error_scale_, each.shape).copy()
+            if name == ANALOGS:  # no analog yet: the outputs remain as they are
+                is_lost = np.isnan(each)
+                each[is_lost] = np.broadcast_to(
+                    track.outputs[known, np.newaxis], each.shape
+                )[is_lost]
+                of_rows[is_lost] = np.broadcast_to(self.stand_in_scale_, each.shape)[
+                    is_lost
+                ]
             at = self.baselines_ == name
-            forecasts[:, at] = each[:, at]
-        forecasts[~np.isfinite(past[rows]).all(axis=1)] = np.nan
-        return forecasts
+            forecasts[np.ix_(is_known, at)] = each[:, at]
+            scale[np.ix_(is_known, at)] = of_rows[:, at]
+        return forecasts, scale
+
+    def _scores(self, X: Any, y: Any) -> list[Array]:
+        """Return the sizes of the errors of each recording, in units of their scale."""
+        pairs, truth = self._predict(X), self._following(X, y)
+        return [
+            np.abs(forecasts - came) / scale
+            for (forecasts, scale), came in zip(pairs, truth, strict=True)
+        ]
+
+    def _bands(
+        self, X: Any, coverage: float, simultaneous: bool, *, last_only: bool = False
+    ) -> Iterator[tuple[Array, Array]]:
+        """Yield the forecasts and the intervals of each recording."""
+        check_is_fitted(self)
+        check_flag(simultaneous, "simultaneous")
+        if not hasattr(self, "calibration_"):
+            raise ValueError(
+                "bands are not calibrated: call conformalize with recordings that fit "
+                "has not seen, or fit_conformalize instead of fit, which undoes a "
+                "calibration."
+            )
+        made = self.calibration_
+        scores = largest_scores(made.scores) if simultaneous else made.scores
+        if made.method == "pooled":
+            check_level(coverage)
+        else:
+            check_coverage(coverage, count_units(scores, made.units))
+        if made.method in QUANTILES:
+            quantile: Array = QUANTILES[made.method](scores, made.units, coverage)
+            for forecasts, scale in self._predict(X, last_only=last_only):
+                yield forecasts, symmetric_band(forecasts, quantile * scale)
+            return
+        by_model = [
+            list(model._predict(X, last_only=last_only))
+            for model in self.fold_estimators_
+        ]
+        whole = self._predict(X, last_only=last_only)
+        for (forecasts, _), *pairs in zip(whole, *by_model, strict=True):
+            predictions, scale = map(np.stack, zip(*pairs, strict=True))
+            band = BANDS[made.method](
+                predictions, scores, made.units, made.models, scale, coverage
+            )
+            yield forecasts, band
 
     def _following(self, X: Any, y: Any) -> list[Array]:
-        """Return what came, by row and horizon, NaN where that is not known."""
-        if (y is None) == (self._has_outputs()):
-            ...
-        read = self._read(X, y)
-        return [track.following(self._horizons()) for track in read.tracks]
+        """Return what came at each horizon, NaN where that is not known."""
+        if (y is not None) != self.takes_outputs_:
+            had = "was" if self.takes_outputs_ else "was not"
+            raise ValueError(
+                f"fit {had} given y; pass the outputs here in the same way."
+            )
+        horizons = check_horizons(self.horizons)
+        return [track.following(horizons) for _, track in self._read(X, y)]
 
-    def _read(self, X: Any, y: Any = None) -> Tracks:
-        """Read recordings that are to be like those of the fit."""
-        read = read_tracks(X, y, self.targets)
-        return read
+    def _read(self, X: Any, y: Any = None) -> list[tuple[Any, Track]]:
+        """Read recordings, which are to have the columns of those of `fit`."""
+        read = read_tracks(X, y, None if y is not None else self.targets)
+        names = getattr(self, "feature_names_in_", None)
+        if len(read.names) != self.n_features_in_ or (
+            names is not None and read.has_names and read.names != names.tolist()
+        ):
+            wanted = self.n_features_in_ if names is None else names.tolist()
+            raise ValueError(
+                f"the recordings have the columns {read.names}, those of fit had "
+                f"{wanted}; pass the same columns in the same order."
+            )
+        return list(zip(as_list(X, "X"), read.tracks, strict=True))
+
+    def _warn_of_none(self, forecasts: Array) -> None:
+        """Warn of recordings whose last row has no forecast."""
+        empty = np.flatnonzero(np.isnan(forecasts).all(axis=(1, 2)))
+        if len(empty):
+            n_rows = check_offsets(self.delays, None)[-1] + 1
+            warn(
+                f"{len(empty)} of {len(forecasts)} recordings have no forecast, the "
+                f"first is X[{empty[0]}]: their last {n_rows} rows hold a gap, or are "
+                "fewer. Fill short gaps by kinematics.fill_gaps, or end recordings "
+                "before a gap."
+            )
 
     def _design(self, scale: Array) -> Design:
         """Return how rows are made."""
-        offsets, horizons = check_offsets(self.delays, None), self._horizons()
+        offsets = check_offsets(self.delays, None)
         given = self.baseline if isinstance(self.baseline, Analogs) else Analogs()
-        function = self.baseline if callable(self.baseline) else None
-        baselines = Baselines(horizons, given.resolve(offsets), scale, function)
+        baselines = Baselines(
+            check_horizons(self.horizons),
+            given.resolve(offsets),
+            scale,
+            self.baseline if callable(self.baseline) else None,
+        )
         return Design(offsets, self.embedding, baselines)
 
-    def _horizons(self) -> Indices:
-        return np.asarray(self.horizons, dtype=np.intp)
-
-    def _check_parameters(self) -> tuple[Indices, Indices]:
-        """Validate parameters; return the offsets of the past and the horizons."""
+    def _check_parameters(self) -> None:
+        """Refuse parameters outside their range."""
         check_choice(self.embedding, "embedding", EMBEDDINGS)
-        offsets = check_offsets(self.delays, None)
-        horizons = np.asarray(self.horizons)
-        is_list = horizons.ndim == 1 and horizons.dtype.kind in "iu" and len(horizons)
-        if (
-            not is_list
-            or horizons.min() < 1
-            or len({*horizons.tolist()}) < len(horizons)
-        ):
-            raise ValueError(
-                "horizons must be a list of different positive numbers of samples, such "
-                f"as (15, 30), got {self.horizons!r}."
-            )
-        return offsets, horizons
-
-    def _candidates(self, *, has_outputs: bool) -> tuple[str, ...]:
-        """Return the names of the baselines to try."""
-        baseline = self.baseline
-        is_free = baseline is None or (isinstance(baseline, str) and baseline == "auto")
-        if has_outputs or (self.estimator is not None and is_operator(self.estimator)):
-            if not is_free:
-                reason = "y is given" if has_outputs else "estimator is an operator"
-                raise ValueError(
-                    f"baseline={baseline!r} needs the outputs among the columns of X, "
-                    f"and an estimator of corrections, but {reason}; leave baseline out."
-                )
-            return (DIRECT,)
-        if baseline is None:
-            return (DIRECT,)
-        if isinstance(baseline, Analogs):
-            return (ANALOGS,)
-        if callable(baseline):
-            return (CUSTOM,)
-        check_choice(baseline, "baseline", (None, "auto", LAST, LINEAR, ANALOGS))
-        return CANDIDATES if baseline == "auto" else (str(baseline),)
-
-
-def _spread(arrays: Sequence[Array]) -> Array:
-    """Return the standard deviation of each column, 1 where it is 0."""
-    spread = np.nanstd(np.vstack(arrays), axis=0)
-    return np.where(spread > 0, spread, 1.0)
+        check_offsets(self.delays, None)
+        check_horizons(self.horizons)
 
 
 def _make_folds(n_recordings: int, gap: int) -> TrajectoryKFold:

@@ -72,11 +72,12 @@ class Analogs(BaseEstimator):
     alone, and on no more than the last ``max_past + window + 1``.
 
     A window that differs by more than 0.5 is no analog; two that have nothing in common
-    differ by 2 on average. Windows, and analogs with what followed them, lie on one side of every gap. Analogs
-    come from all pieces between gaps. At the ends of a piece one neighbour suffices for
-    a local minimum. Of equal distances the later row is taken first. Windows count as
-    equal if the root of their distance is at most 8 times the machine epsilon times the
-    largest value, over :math:`\\sigma_c`, in the present one.
+    differ by 2 on average. Windows, and analogs with what followed them, lie on one
+    side of every gap. Analogs come from all pieces between gaps. At the ends of a piece
+    one neighbour suffices for a local minimum. Of equal distances the later row is
+    taken first. Windows count as equal if the root of their distance is at most 8 times
+    the machine epsilon times the largest value, over :math:`\\sigma_c`, in the present
+    one.
 
     Time is O(T L p) for T rows and L rows of past, that is O(T^2 p) without `max_past`.
     Memory is O(T) for each horizon, and some MB.

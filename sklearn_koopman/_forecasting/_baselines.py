@@ -8,11 +8,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._utils._typing import Array, Indices
+from .._utils._typing import Array, Indices, Mask
+from .._utils._validation import check_choice
 from ._analogs import SIMILAR, Analogs, find_analogs
 from ._tracks import Track
 
 DIRECT, LAST, LINEAR, ANALOGS, CUSTOM = "direct", "last", "linear", "analogs", "custom"
+
+
+# What "auto" chooses from.
+CANDIDATES = (DIRECT, LAST, LINEAR, ANALOGS)
 
 
 class Baseline(NamedTuple):
@@ -99,13 +104,13 @@ class Baselines:
             track.states,
             track.piece,
             rows,
-            np.maximum(follows, analogs.exclusion),
+            np.maximum(follows, np.intp(analogs.exclusion or 0)),
             follows,
             scale=self.scale,
             max_distance=SIMILAR,
             **analogs.get_params(),
         )
-        has_analogs = (found.weights > 0).any(axis=2)
+        has_analogs: Mask = found.weights.sum(axis=2) > 0
         forecasts = np.stack(
             [
                 _mean(track.outputs, found.places[:, i] + horizon, found.weights[:, i])
@@ -137,3 +142,35 @@ def _mean(values: Array, places: Indices, weights: Array) -> Array:
     rows = values[np.clip(places, 0, len(values) - 1)]
     weights = weights[:, :, np.newaxis]
     return np.where(weights > 0, weights * rows, 0.0).sum(axis=1)
+
+
+def find_candidates(
+    baseline: Any, has_outputs: bool, has_powers: bool
+) -> tuple[str, ...]:
+    """Return the names of the baselines to try.
+
+    Parameters
+    ----------
+    baseline : str, Analogs, callable or None
+        The parameter.
+    has_outputs : bool
+        Whether the outputs are no columns of the recordings.
+    has_powers : bool
+        Whether the estimator is an operator, which forecasts by its powers.
+    """
+    if isinstance(baseline, Analogs):
+        names: tuple[str, ...] = (ANALOGS,)
+    elif callable(baseline):
+        names = (CUSTOM,)
+    else:
+        check_choice(baseline, "baseline", (None, "auto", LAST, LINEAR, ANALOGS))
+        names = (DIRECT,) if baseline is None else (str(baseline),)
+    if names == ("auto",):
+        return (DIRECT,) if has_outputs or has_powers else CANDIDATES
+    if names != (DIRECT,) and (has_outputs or has_powers):
+        reason = "y holds them" if has_outputs else "an operator forecasts by itself"
+        raise ValueError(
+            f"baseline={baseline!r} needs an estimator of corrections, and outputs "
+            f"that are columns of X, but {reason}; leave baseline out."
+        )
+    return names

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -90,12 +90,12 @@ def blend(left_out: Mapping[str, LeftOut], truth: Array, unit: Array) -> Blend:
             weight = _weights(
                 correction[known] / unit, (truth - baseline)[known] / unit
             )
-            errors[name] = _rms(baseline[rows] - truth[rows])
+            errors[name] = rms(baseline[rows] - truth[rows])
         forecasts = baseline[rows] + weight[:, np.newaxis] * correction[rows]
-        errors[f"{name}, corrected" if name != DIRECT else name] = _rms(
+        errors[f"{name}, corrected" if name != DIRECT else name] = rms(
             forecasts - truth[rows]
         )
-        corrected.append(_rms(forecasts - truth[rows]))
+        corrected.append(rms(forecasts - truth[rows]))
         weights.append(weight)
     best = np.argmin([((error / unit) ** 2).sum(axis=1) for error in corrected], axis=0)
     horizons = np.arange(truth.shape[1])
@@ -113,6 +113,16 @@ def _weights(offered: Array, wanted: Array) -> Array:
     return np.clip(product / np.where(power > 0, power, 1.0), 0.0, 1.0)
 
 
-def _rms(errors: Array) -> Array:
+def rms(errors: Array) -> Array:
     """Return the root mean square of each column."""
     return np.sqrt(np.mean(errors**2, axis=0))
+
+
+def spread(arrays: Sequence[Array]) -> Array:
+    """Return the standard deviation of each column, 1 where it is 0."""
+    return positive(np.nanstd(np.vstack(arrays), axis=0))
+
+
+def positive(values: Array) -> Array:
+    """Return what can be divided by."""
+    return np.where(values > 0, values, 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -12,6 +13,7 @@ from sklearn.pipeline import Pipeline
 
 from .._utils._pipeline import find_operator, transformed
 from .._utils._typing import Array, Indices
+from .._utils._warnings import ExtrapolationWarning
 
 
 class Rows(NamedTuple):
@@ -98,8 +100,8 @@ def learn(
     left_out : ndarray of shape (n_rows, n_horizons, n_outputs)
         The predictions, NaN in rows that hold NaN.
     """
-    is_usable = np.isfinite(rows.features).all(axis=1)
-    is_usable &= np.isfinite(rows.values).all(axis=1)
+    everything = np.hstack([rows.features, rows.values])
+    is_usable = np.asarray(np.isfinite(everything).all(axis=1))
     fitted = fit_rows(estimator, rows.take(is_usable))
     fixed = fix_choices(fitted)
     left_out = np.full((len(rows.features), len(ahead.steps), ahead.n_outputs), np.nan)
@@ -107,7 +109,10 @@ def learn(
         train, test = train[is_usable[train]], test[is_usable[test]]
         if len(train) and len(test):
             model = fit_rows(fixed, rows.take(train))
-            left_out[test] = predict_rows(model, rows.features[test], ahead)
+            with warnings.catch_warnings():
+                # Another speed or person may well be far from those of the fold.
+                warnings.simplefilter("ignore", ExtrapolationWarning)
+                left_out[test] = predict_rows(model, rows.features[test], ahead)
     return fitted, left_out
 
 

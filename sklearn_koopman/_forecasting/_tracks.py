@@ -123,6 +123,18 @@ def read_tracks(X: Any, y: Any, targets: Any) -> Tracks:
     return Tracks(tracks, read.names, has_names, output_names)
 
 
+def check_horizons(horizons: Any) -> Indices:
+    """Return horizons as an array; refuse any but different positive whole numbers."""
+    numbers = np.asarray(horizons)
+    is_list = numbers.ndim == 1 and numbers.dtype.kind in "iu" and len(numbers) > 0
+    if not is_list or numbers.min() < 1 or len(np.unique(numbers)) < len(numbers):
+        raise ValueError(
+            "horizons must be different positive numbers of samples, such as (15, 30), "
+            f"got {horizons!r}."
+        )
+    return numbers.astype(np.intp)
+
+
 def as_list(data: Any, name: str) -> list[Any]:
     """Return recordings as a list; refuse what is no list of recordings."""
     if isinstance(data, np.ndarray) and data.dtype == object and data.ndim == 1:
@@ -182,7 +194,7 @@ def _read_outputs(items: list[Any], y: Any) -> tuple[list[Array], list[str]]:
     outputs: list[Array] = []
     for number, (values, states) in enumerate(zip(given, items, strict=True)):
         if isinstance(values, np.ma.MaskedArray):
-            values = values.astype(np.float64).filled(np.nan)
+            values = np.ma.filled(values.astype(np.float64), np.nan)
         output = check_array(
             values,
             dtype=np.float64,

@@ -94,6 +94,12 @@ class Table(NamedTuple):
         """The number of the recording of each row."""
         return np.repeat(np.arange(len(self.known)), [len(rows) for rows in self.known])
 
+    @property
+    def current(self) -> Array:
+        """The outputs of the rows themselves, of shape (n_rows, 1, n_outputs)."""
+        parts = [t.outputs[k] for t, k in zip(self.tracks, self.known, strict=True)]
+        return np.concatenate(parts)[:, np.newaxis]
+
     def sample_index(self, step: int) -> Indices:
         """Return places on a clock that advances by 1 every `step` rows of a piece."""
         parts, start = [], 0
