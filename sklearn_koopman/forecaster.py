@@ -91,8 +91,7 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
     embedding : {"copies", "differences"}, default="copies"
         Copies of earlier samples, or their divided differences, as in
         :func:`~sklearn_koopman.trajectory_pairs`.
-    baseline : {"auto", "last", "linear", "analogs"}, Analogs, callable or None, \
-default="auto"
+    baseline : str, Analogs, callable or None, default="auto"
         To what the correction is learned.
 
         - None: to nothing; the estimator forecasts by itself.
