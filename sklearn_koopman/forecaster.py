@@ -15,8 +15,8 @@ from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
 
 from ._forecasting._analogs import Analogs
-from ._forecasting._baselines import ANALOGS, DIRECT, Baselines, find_candidates
-from ._forecasting._blending import blend, positive, rms, spread
+from ._forecasting._baselines import ANALOGS, DIRECT, LAST, Baselines, find_candidates
+from ._forecasting._blending import blend, find_stand_ins, positive, spread
 from ._forecasting._calibration import (
     GUARANTEES,
     check_coverage,
@@ -35,7 +35,7 @@ from ._forecasting._tracks import Track, as_list, check_horizons, read_tracks
 from ._forecasting._training import Design, fit_candidate, horizon_step
 from ._forecasting._units import as_units, split_units, take
 from ._utils._embedding import EMBEDDINGS, check_offsets
-from ._utils._typing import Array, Indices
+from ._utils._typing import Array, Indices, Mask
 from ._utils._validation import check_choice, check_flag, check_sample_weight
 from ._utils._warnings import warn
 from .centers import SeparatedCenterSelector
@@ -123,8 +123,10 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         each baseline alone ("analogs") and corrected ("analogs, corrected").
     error_scale_ : ndarray of shape (n_horizons, n_outputs)
         The same of what is forecast; bands are multiples of it.
+    stand_ins_ : ndarray of str of shape (n_horizons,)
+        What stands in where there is no analog: "last", or with "auto" also "direct".
     stand_in_scale_ : ndarray of shape (n_horizons, n_outputs)
-        The same of the last outputs, which stand in where there is no analog.
+        The root mean square errors of that.
     column_scale_ : ndarray of shape (n_features_in_,)
         The standard deviation of each column in training.
     calibration_ : :class:`~sklearn.utils.Bunch`
@@ -283,16 +285,22 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         unit = spread([track.outputs for track in read.tracks])
         left_out = {name: each.left_out for name, each in candidates.items()}
         mixture = blend(left_out, table.truth, unit)
-        chosen = sorted({*mixture.names.tolist()})
+        stand_ins = find_stand_ins(left_out, table.truth, table.current, unit)
+        chosen = {*mixture.names.tolist()}
+        if ANALOGS in chosen:
+            chosen |= {*stand_ins.names.tolist()} - {LAST}
         for name in ("calibration_", "fold_estimators_", "feature_names_in_"):
             self.__dict__.pop(name, None)
-        self.estimators_ = {name: candidates[name].fitted for name in chosen}
-        self.correction_scales_ = {name: candidates[name].scale for name in chosen}
+        self.estimators_ = {name: candidates[name].fitted for name in sorted(chosen)}
+        self.correction_scales_ = {
+            name: candidates[name].scale for name in self.estimators_
+        }
         self.baselines_ = mixture.names
         self.horizon_weights_ = mixture.weights
         self.left_out_errors_ = mixture.errors
         self.error_scale_ = positive(mixture.scale)
-        self.stand_in_scale_ = positive(rms(table.truth - table.current))
+        self.stand_ins_ = stand_ins.names
+        self.stand_in_scale_ = positive(stand_ins.scale)
         self.column_scale_ = scale
         self.n_outputs_ = table.truth.shape[2]
         self.n_features_in_ = len(read.names)
@@ -315,7 +323,8 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
             Entry k, h is the forecast for row ``k + horizons[h]``, made from rows up to
             k alone, also beyond the end of the recording. NaN in rows whose past is too
             short or holds a gap. Where the past holds no analog yet, the last outputs
-            stand in, uncorrected.
+            stand in, uncorrected; with "auto" what the estimator forecasts by itself,
+            where that was better.
 
         Raises
         ------
@@ -679,30 +688,58 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         forecasts, scale = np.full(shape, np.nan), np.empty(shape)
         scale[:] = self.error_scale_
         known = rows[is_known]
-        for name, fitted in self.estimators_.items():
-            said = design.baselines.say(name, recording, track, past, known)
-            each = said.forecasts.copy()
-            features = np.hstack([past[known], said.features])
-            usable = np.isfinite(features).all(axis=1)
-            if usable.any():
-                step = horizon_step(horizons) if is_operator(fitted) else 1
-                ahead = Ahead(horizons // step, self.n_outputs_)
-                correction = predict_rows(fitted, features[usable], ahead)
-                correction *= self.correction_scales_[name]
-                each[usable] += self.horizon_weights_[:, np.newaxis] * correction
-            of_rows = np.broadcast_to(self.error_scale_, each.shape).copy()
-            if name == ANALOGS:  # no analog yet: the outputs remain as they are
-                is_lost = np.isnan(each)
-                each[is_lost] = np.broadcast_to(
-                    track.outputs[known, np.newaxis], each.shape
-                )[is_lost]
-                of_rows[is_lost] = np.broadcast_to(self.stand_in_scale_, each.shape)[
-                    is_lost
-                ]
+        said, of_rows = forecasts[is_known], scale[is_known]
+        for name in np.unique(self.baselines_):
             at = self.baselines_ == name
-            forecasts[np.ix_(is_known, at)] = each[:, at]
-            scale[np.ix_(is_known, at)] = of_rows[:, at]
+            said[:, at] = self._say(name, design, recording, track, past, known)[:, at]
+        has_analogs: Mask = np.equal(self.baselines_, ANALOGS)
+        is_lost = np.isnan(said) & has_analogs[:, np.newaxis]
+        if is_lost.any():  # there is no analog yet
+            instead = np.broadcast_to(
+                track.outputs[known, np.newaxis], said.shape
+            ).copy()
+            at = self.stand_ins_ == DIRECT
+            if at.any():
+                some = np.flatnonzero(is_lost.any(axis=(1, 2)))
+                by_itself = self._say(
+                    DIRECT, design, recording, track, past, known[some]
+                )
+                instead[np.ix_(some, at)] = by_itself[:, at]
+            said = np.where(is_lost, instead, said)
+            of_rows = np.where(is_lost, self.stand_in_scale_, of_rows)
+        forecasts[is_known], scale[is_known] = said, of_rows
         return forecasts, scale
+
+    def _say(
+        self,
+        name: str,
+        design: Design,
+        recording: Any,
+        track: Track,
+        past: Array,
+        rows: Indices,
+    ) -> Array:
+        """Return what a baseline says of some rows, with as much correction as helps.
+
+        NaN in rows where it says nothing.
+        """
+        fitted, horizons = self.estimators_[name], design.baselines.horizons
+        baseline = design.baselines.say(name, recording, track, past, rows)
+        features = np.hstack([past[rows], baseline.features])
+        usable = np.isfinite(features).all(axis=1)
+        forecasts = np.where(
+            usable[:, np.newaxis, np.newaxis], baseline.forecasts, np.nan
+        )
+        if usable.any():
+            step = horizon_step(horizons) if is_operator(fitted) else 1
+            ahead = Ahead(horizons // step, self.n_outputs_)
+            correction = self.correction_scales_[name] * predict_rows(
+                fitted, features[usable], ahead
+            )
+            if name != DIRECT:
+                correction *= self.horizon_weights_[:, np.newaxis]
+            forecasts[usable] += correction
+        return forecasts
 
     def _scores(self, X: Any, y: Any) -> list[Array]:
         """Return the sizes of the errors of each recording, in units of their scale."""

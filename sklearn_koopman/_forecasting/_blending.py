@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._utils._typing import Array
-from ._baselines import DIRECT
+from ._baselines import DIRECT, LAST
 
 # A baseline that says nothing of more rows than this is chosen for no horizon.
 MAX_SILENT = 0.5
@@ -105,6 +105,49 @@ def blend(left_out: Mapping[str, LeftOut], truth: Array, unit: Array) -> Blend:
         np.array(corrected)[best, horizons],
         errors,
     )
+
+
+class StandIns(NamedTuple):
+    """What is forecast where there is no analog.
+
+    Attributes
+    ----------
+    names : ndarray of str of shape (n_horizons,)
+        "last" or "direct".
+    scale : ndarray of shape (n_horizons, n_outputs)
+        The root mean square of their errors.
+    """
+
+    names: Array
+    scale: Array
+
+
+def find_stand_ins(
+    left_out: Mapping[str, LeftOut], truth: Array, current: Array, unit: Array
+) -> StandIns:
+    """Choose what is better where there is no analog: no change, or no baseline.
+
+    Parameters
+    ----------
+    left_out : dict of str to LeftOut
+        The forecasts of all rows. Without "direct" nothing is to be chosen.
+    truth : ndarray of shape (n_rows, n_horizons, n_outputs)
+        What came.
+    current : ndarray of shape (n_rows, 1, n_outputs)
+        The outputs in the rows themselves.
+    unit : ndarray of shape (n_outputs,)
+        The unit of each output.
+    """
+    last = rms(truth - current)
+    names = np.full(truth.shape[1], LAST, dtype=object)
+    if DIRECT not in left_out:
+        return StandIns(names.astype(str), last)
+    errors = truth - left_out[DIRECT].correction
+    direct = rms(errors[np.isfinite(errors).all(axis=(1, 2))])
+    is_better = ((direct / unit) ** 2).sum(axis=1) < ((last / unit) ** 2).sum(axis=1)
+    names[is_better] = DIRECT
+    scale = np.where(is_better[:, np.newaxis], direct, last)
+    return StandIns(names.astype(str), scale)
 
 
 def _weights(offered: Array, wanted: Array) -> Array:
