@@ -35,7 +35,7 @@ from ._forecasting._tracks import Track, as_list, check_horizons, read_tracks
 from ._forecasting._training import Design, fit_candidate, horizon_step
 from ._forecasting._units import as_units, split_units, take
 from ._utils._embedding import EMBEDDINGS, check_offsets
-from ._utils._typing import Array, Indices, Mask
+from ._utils._typing import Array, Indices
 from ._utils._validation import check_choice, check_flag, check_sample_weight
 from ._utils._warnings import warn
 from .centers import SeparatedCenterSelector
@@ -53,7 +53,7 @@ QUANTILES: dict[str, Callable[..., Array]] = {
 }
 BANDS = {"plus": plus_band, "minmax": minmax_band}
 # Of the estimator that None stands for.
-N_CENTERS = 400
+N_CENTERS = 300
 ALPHAS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 
 
@@ -76,7 +76,7 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
     estimator : estimator instance, default=None
         What learns the correction: a regressor or pipeline that takes several outputs.
         All horizons are outputs of one fit. None means a scaler and a
-        :class:`~sklearn_koopman.KoopmanKernelRegressorCV` with up to 400 centres and a
+        :class:`~sklearn_koopman.KoopmanKernelRegressorCV` with up to 300 centres and a
         linear trend, which chooses its scale and weight by recordings left out. A
         :class:`~sklearn_koopman.KernelEDMD`, or a pipeline that ends in one, forecasts
         by the powers of its operator, without a baseline.
@@ -692,7 +692,7 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         for name in np.unique(self.baselines_):
             at = self.baselines_ == name
             said[:, at] = self._say(name, design, recording, track, past, known)[:, at]
-        has_analogs: Mask = np.equal(self.baselines_, ANALOGS)
+        has_analogs = np.array([name == ANALOGS for name in self.baselines_])
         is_lost = np.isnan(said) & has_analogs[:, np.newaxis]
         if is_lost.any():  # there is no analog yet
             instead = np.broadcast_to(
@@ -726,11 +726,10 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         fitted, horizons = self.estimators_[name], design.baselines.horizons
         baseline = design.baselines.say(name, recording, track, past, rows)
         features = np.hstack([past[rows], baseline.features])
-        usable = np.isfinite(features).all(axis=1)
-        forecasts = np.where(
-            usable[:, np.newaxis, np.newaxis], baseline.forecasts, np.nan
-        )
-        if usable.any():
+        usable = np.flatnonzero(np.isfinite(features).all(axis=1))
+        forecasts = np.full(baseline.forecasts.shape, np.nan)
+        forecasts[usable] = baseline.forecasts[usable]
+        if len(usable):
             step = horizon_step(horizons) if is_operator(fitted) else 1
             ahead = Ahead(horizons // step, self.n_outputs_)
             correction = self.correction_scales_[name] * predict_rows(
