@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from ._c3d_layout import MAGIC, check_layout
-from ._recording import Format, Marker, Recording, split_prefix
+from ._recording import Format, Marker, Recording
 from ._text import File, Table
 
 MAX_BLOCK = 8  # in which the parameters begin; mostly 2
@@ -45,8 +45,7 @@ def _read(file: File) -> Recording:
     for i, label in enumerate(_texts(section, "LABELS")[:n_points]):
         labels += [f"{label} {axis}" for axis in "XYZ"]
         if label and label not in no_points:
-            individual, name = split_prefix(label)
-            markers.append(Marker(name, range(3 * i, 3 * i + 3), individual))
+            markers.append(Marker.from_label(label, range(3 * i, 3 * i + 3)))
     header = content["header"]["points"]
     frames = header["first_frame"] + np.arange(n_frames)  # from 0
     rate = float(header["frame_rate"])

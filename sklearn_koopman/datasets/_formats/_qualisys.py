@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ._recording import Format, Marker, Recording, split_prefix, warn_of_count
+from ._recording import Format, Marker, Recording, warn_of_count
 from ._text import (
     File,
     Line,
@@ -38,8 +38,7 @@ def _read(file: File) -> Recording:
     markers = []
     for column, name in zip(range(len(clocks), len(labels), 3), names, strict=True):
         if name:
-            individual, bare = split_prefix(name)
-            markers.append(Marker(bare, range(column, column + 3), individual))
+            markers.append(Marker.from_label(name, range(column, column + 3)))
     return Recording(
         table=table,
         markers=markers,

@@ -1,6 +1,6 @@
 """The tab-separated format of Fukuchi et al. (2018)."""
 
-from ._recording import Format, Marker, Recording, split_prefix
+from ._recording import Format, Marker, Recording
 from ._text import File, drop_end, number_lines, read_table, split
 
 
@@ -25,8 +25,7 @@ def _read(file: File) -> Recording:
                     f"marker {name!r} has {labels.count(label)} columns {label!r}, not "
                     "one; export X, Y and Z of all markers, and give each its own name."
                 )
-        individual, bare = split_prefix(name)
-        markers.append(Marker(bare, [labels.index(x) for x in triple], individual))
+        markers.append(Marker.from_label(name, [labels.index(x) for x in triple]))
     table = read_table(number_lines(file.lines, 1), labels, "\t")
     return Recording(table=table, markers=markers, unit="mm", stamps=0)
 

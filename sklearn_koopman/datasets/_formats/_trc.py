@@ -2,7 +2,7 @@
 
 import re
 
-from ._recording import Format, Marker, Recording, split_prefix, warn_of_count
+from ._recording import Format, Marker, Recording, warn_of_count
 from ._text import (
     SHOWN,
     File,
@@ -98,8 +98,7 @@ def _markers(head: list[str], axes: list[str]) -> tuple[list[Marker], list[str]]
                 "and a Z; export the file again."
             )
         order = [start + triple.index(axis) for axis in "XYZ"]
-        individual, bare = split_prefix(name)
-        markers.append(Marker(bare, [2 + i for i in order], individual))
+        markers.append(Marker.from_label(name, [2 + i for i in order]))
         for i, axis in zip(order, "XYZ", strict=True):
             labels[i] = f"{name}{axis}"
     return markers, labels

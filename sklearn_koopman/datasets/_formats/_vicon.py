@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ._recording import Format, Marker, Recording, split_prefix
+from ._recording import Format, Marker, Recording
 from ._text import (
     SHOWN,
     File,
@@ -81,8 +81,7 @@ def _read(file: File) -> Recording:
     labels = list(axes)
     markers = []
     for column, name in columns.items():
-        individual, bare = split_prefix(name)
-        markers.append(Marker(bare, range(column, column + 3), individual))
+        markers.append(Marker.from_label(name, range(column, column + 3)))
         labels[column : column + 3] = [f"{name} {axis}" for axis in "XYZ"]
     return Recording(
         table=read_table(_rows(file.lines, first + has_units), labels, delimiter),
