@@ -75,6 +75,7 @@ def check(data, *, rate=100.0, unit="mm", rtol=0.0):
         "byte order mark": "\ufeff" + TRC,
         "lines end in CR LF": TRC.replace("\n", "\r\n"),
         "lines end in CR": TRC.replace("\n", "\r"),
+        "lines end in CR CR LF": TRC.replace("\n", "\r\r\n"),
         "UTF-16 with a mark": TRC.encode("utf-16"),
         "UTF-16 without, little-endian": TRC.encode("utf-16-le"),
         "UTF-16 without, big-endian": TRC.encode("utf-16-be"),
@@ -173,6 +174,28 @@ def test_thousands_are_not_taken_for_decimals(write):
     text = "\n".join(HEAD) + BODY.replace("900.25", "1,900.25")
     with pytest.raises(ValueError, match=r"trial.trc: line 7: '1,900.25' in .*HipY"):
         load_markers(write(text))
+
+
+@pytest.mark.parametrize("rate", ["100,00", "100.0", "1e2", "100,"])
+def test_rates_with_decimal_commas(write, rate):
+    text = TRC.replace("\n100\t", f"\n{rate}\t").replace("\t4\t2\t", "\t4,0\t2,0\t")
+    data = load_markers(write(text))
+    assert data.rate == 100.0
+
+
+def test_thousands_are_no_rate(write):
+    text = QUALISYS.replace("\t120", "\t1,200") + rows(HIP, KNEE)
+    with pytest.raises(ValueError, match="does not say how many frames"):
+        load_markers(write(text, "trial.tsv"))
+
+
+@pytest.mark.parametrize(
+    "spelled", ["na", "NA", "#N/A", "NoData", "-1.#IND", "1.#QNAN", "NaN", "null"]
+)
+def test_spellings_of_what_is_missing(write, spelled):
+    text = changed("\t12.5\t", f"\t{spelled}\t")
+    hip = load_markers(write(text), gaps="nan").markers["Hip"]
+    assert_array_equal(np.isnan(hip[:, 0]), FRAMES == 2)
 
 
 def test_python_spellings_are_no_numbers(write):
@@ -329,6 +352,14 @@ AXES = "Hip X\tHip Y\tHip Z\tKnee X\tKnee Y\tKnee Z\n"
         "clock without names": QUALISYS
         + rows(FRAMES + 1, np.round(FRAMES / 120, 5), HIP, KNEE),
         "frames": QUALISYS + "Frame\t" + AXES + rows(FRAMES + 1, HIP, KNEE),
+        "version 2": "FILE_VERSION\t2.0.0\n" + QUALISYS + rows(HIP, KNEE),
+        "other columns in another order": QUALISYS
+        + "Frame\tKnee Z\tKnee Y\tKnee X\tKnee Res\tHip X\tHip Res\tHip Y\tHip Z\n"
+        + rows(FRAMES + 1, KNEE[:, ::-1], [7] * 4, HIP[:, 0], ["x"] * 4, HIP[:, 1:]),
+        "CR CR LF": (QUALISYS + rows(HIP, KNEE)).replace("\n", "\r\r\n"),
+        "decimal commas": (
+            QUALISYS.replace("\t120", "\t120,00") + rows(HIP, KNEE)
+        ).replace(".", ","),
         "a blank line, an event": QUALISYS.replace("TRAJ", "EVENT\ton\t3\t0.02\nTRAJ")
         + "\n"
         + rows(HIP, KNEE),
@@ -359,6 +390,14 @@ def test_bad_qualisys(write):
     path = write(QUALISYS.replace("\t4\n", "\t5\n", 1) + rows(HIP, KNEE), "trial.tsv")
     with pytest.warns(UserWarning, match=r"NO_OF_FRAMES is 5, but the file holds 4"):
         load_markers(path)
+    path = write(
+        QUALISYS.replace("MARKERS\t2", "MARKERS\t3") + rows(HIP, KNEE), "q.tsv"
+    )
+    with pytest.warns(UserWarning, match=r"NO_OF_MARKERS is 3, but the file holds 2"):
+        check(load_markers(path), rate=120.0)
+    other = QUALISYS + AXES.replace("Hip Y", "Hip V") + rows(HIP, KNEE)
+    with pytest.raises(ValueError, match=r"0 columns are called 'Hip Y', not one"):
+        load_markers(write(other, "trial.tsv"))
 
 
 NEXUS = "Trajectories\n100\n,,S1:Hip,,,S1:Knee,,\nFrame,Sub Frame,X,Y,Z,X,Y,Z\n"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 from ..._utils._warnings import warn
-from ._text import File, Table, is_number, to_float
+from ._text import File, Table, to_setting
 
 # Between a person and the name of a marker.
 PREFIX_END = ":"
@@ -55,7 +55,8 @@ class Format(NamedTuple):
 
 def warn_of_count(name: str, claimed: str | None, found: Collection[float]) -> None:
     """Warn if the head of a file counts something otherwise than its lines do."""
-    if claimed and is_number(claimed) and to_float(claimed) not in found:
+    number = to_setting(claimed or "")
+    if number == number and number not in found:  # NaN is no number
         warn(
             f"{name} is {claimed}, but the file holds {min(found):g}, which are read; "
             "if some were cut off, export the file again."
