@@ -615,6 +615,16 @@ def test_files_of_other_dialects(write):
         ("0.02\t", "0.01\t", {}, r"line 13: time goes from 0.01 to 0.01"),
         ("0.02\t", "0.05\t", {}, r"line 13: time goes from 0.01 to 0.05"),
         ("version=1", "DataType=Quaternion", {}, r"type Quaternion, .*RotationEncoder"),
+        ("", "", {"angles": 5}, r"angles=5; pass a list of names, or None"),
+        ("", "", {"angles": (x for x in "ab")}, r"angles=<gen.*; pass a list of nam"),
+        ("Coordinates", "Speeds", {}, r"line 1: the file holds 'Speeds', no angles"),
+        ("Coordinates", "Accelerations", {}, r"holds 'Accelerations', no angles"),
+        ("Coordinates", "Positions ", {}, r"holds 'Positions', no angles"),
+        ("Coordinates", "PositionErrors", {}, r"holds 'PositionErrors', no angles"),
+        ("Coordinates", "Static Optimization", {}, r"'Static Optimization', no angl"),
+        ("Coordinates", "MomentArm_hip_flexion_r", {}, r"'MomentArm_hip.*, no angles"),
+        ("Coordinates", "Joint Reaction Loads", {}, r"'Joint Reaction L.*no angles"),
+        ("Coordinates", "Model Marker Errors from IK", {}, r"'Model Mar.*no angles"),
     ],
 )
 def test_bad_angles(write, old, new, options, message):
@@ -642,6 +652,66 @@ def test_forces_are_no_angles(write):
         ValueError, match=r"not those of angles, but \['ground_force_vx"
     ):
         load_angles(write(text, "grf.mot"))
+
+
+NO_ANGLES = [
+    *("center_of_mass_X", "1_ground_force_vy", "ground_px", "hip_fz", "pin_my", "tx"),
+    *("calcn_r_ty", "/jointset/pelvis/pelvis_tz/value", "total_squared_error"),
+    *("marker_error_RMS", "hip_flexion_r_reserve", "hip_on_femur_in_ground_fx"),
+    *("hip_flexion_r_moment", "/jointset/hip_r/hip_flexion_r/speed", "knee_angle_r_u"),
+]
+ANGLES = [
+    *("pelvis_tilt", "subtalar_angle_r", "mtp_angle_l", "lumbar_bending", "pro_sup_r"),
+    *("/jointset/hip_r/hip_flexion_r/value", "arm_flex_r", "wrist_dev_l"),
+    *("ground_thorax_rot_x", "r1_z", "elv_angle"),
+]
+
+
+def test_names_tell_angles_from_others(write):
+    names = [*NO_ANGLES, *ANGLES]
+    values = np.tile(np.arange(len(names)) / 10, (3, 1))
+    head = "walk_speeds.mot\ninDegrees=no\nendheader\ntime\t" + "\t".join(names) + "\n"
+    data = load_angles(write(head + rows([0.0, 0.5, 1.0], values), "walk.mot"))
+    assert data.names == ANGLES
+    assert data.left_out == NO_ANGLES
+    assert_array_equal(data.angles, values[:, len(NO_ANGLES) :])
+
+
+def test_angles_that_are_not_finite_are_missing(write):
+    text = COORDINATES.replace("\t21\t", "\tinf\t").replace("\t12\n", "\t-inf\n")
+    data = load_angles(write(text, "walk.mot"))
+    lost = np.zeros((4, 3), dtype=bool)
+    lost[1, 1] = lost[2, 2] = True
+    assert_allclose(
+        data.angles, np.radians(np.where(lost, np.nan, DEGREES)), rtol=1e-15
+    )
+
+
+def test_paths(write, tmp_path):
+    path = write(TRC)
+    check(load_markers(bytes(path)))
+    for reader in (load_markers, load_angles):
+        with pytest.raises(IsADirectoryError, match=r"is a folder; pass .* its files"):
+            reader(tmp_path)
+        with pytest.raises(FileNotFoundError):
+            reader(tmp_path / "none.trc")
+        with pytest.raises(TypeError, match=r"path must be that of a file, got 5"):
+            reader(5)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"markers": 5}, r"markers=5; pass a list of names, or None"),
+        ({"markers": (x for x in "ab")}, r"markers=<gen.*; pass a list of names"),
+        ({"markers": b"Hip"}, r"markers=b'Hip'; pass a list of names, or None"),
+        ({"individual": ["a", "b"]}, r"individual=\['a', 'b'\]; pass one name, or"),
+        ({"individual": 5}, r"individual=5; pass one name"),
+    ],
+)
+def test_choices_of_other_types(write, options, message):
+    with pytest.raises(ValueError, match=message):
+        load_markers(write(TRC), **options)
 
 
 # --- other files --------------------------------------------------------------------

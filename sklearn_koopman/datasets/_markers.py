@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from sklearn.utils import Bunch
 
 from ._formats import read_recording
+from ._formats._text import File
 from ._positions import Choices, check_choices, select_positions
 
 
@@ -161,8 +162,8 @@ def load_markers(
     """
     choices = Choices(markers, rate, unit, gaps, zeros, min_likelihood, individual)
     check_choices(choices)
-    where = os.fspath(path)
+    file, where = File.read(path), os.fsdecode(path)
     try:
-        return select_positions(read_recording(where), choices, where)
+        return select_positions(read_recording(file), choices, where)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error

@@ -9,7 +9,7 @@ import numpy as np
 from sklearn.utils import Bunch
 
 from .._utils._typing import Array, Mask
-from .._utils._validation import check_choice, check_number
+from .._utils._validation import check_choice, check_names, check_number
 from ._clock import read_clock
 from ._formats._recording import PREFIX_END, Marker, Recording
 from ._units import IN_MM, check_size, spell
@@ -39,9 +39,13 @@ def check_choices(choices: Choices) -> None:
     check_choice(choices.zeros, "zeros", ("gap", "keep"))
     if choices.min_likelihood is not None:
         check_number(choices.min_likelihood, "min_likelihood")
-    names = choices.markers
-    if names is not None and (isinstance(names, str) or len(names) == 0):
-        raise ValueError(f"markers={names!r}; pass a list of names, or None.")
+    check_names(choices.markers, "markers")
+    individual = choices.individual
+    if individual is not None and not isinstance(individual, str):
+        raise ValueError(
+            f"individual={individual!r}; pass one name, or None and markers with full "
+            "names, such as markers=['a:Hip', 'b:Hip']."
+        )
 
 
 def select_positions(recording: Recording, choices: Choices, where: str) -> Bunch:

@@ -17,6 +17,7 @@ from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 from .._utils._typing import Array, Indices, Mask
 from .._utils._validation import check_choice, check_flag
 from .._utils._warnings import warn
+from .._utils._wraps import find_degrees
 
 TURNS = {"radians": 2 * np.pi, "degrees": 360.0}
 # Files round quaternions, some to two digits. Other columns taken for one are farther
@@ -24,8 +25,6 @@ TURNS = {"radians": 2 * np.pi, "degrees": 360.0}
 LENGTH_TOLERANCE = 0.01
 # Below this the rounding of predictions decides which rotation is nearest.
 MIN_DISTINCTNESS = 1e-8
-# A joint that turns farther than this, in radians, has its angles in degrees.
-MAX_TURN = 4 * np.pi
 ENTRIES = [f"r{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)]
 
 
@@ -506,10 +505,10 @@ def _check_quaternions(values: Array, columns: Indices) -> None:
 
 def _warn_of_degrees(angles: Array) -> None:
     """Warn if angles that are said to be in radians are too large for a joint."""
-    largest = np.max(np.abs(angles), initial=0.0, where=~np.isnan(angles))
-    if largest > MAX_TURN:
+    found = find_degrees(angles)
+    if found:
         warn(
-            f"angles of X reach {largest:.4g} radians. If they are in degrees, pass "
+            f"angles of X reach {found[1]:.4g} radians. If they are in degrees, pass "
             "unit='degrees'; if they count many turns, pass X % (2 * numpy.pi), which "
             "is encoded as the same."
         )

@@ -2,12 +2,13 @@
 
 import codecs
 import operator
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import SupportsIndex
+from typing import Any, Self, SupportsIndex
 
 import numpy as np
 
@@ -43,6 +44,20 @@ class File:
 
     path: Path
     data: bytes
+
+    @classmethod
+    def read(cls, path: Any) -> Self:
+        """Read a file; refuse what is no path, and folders."""
+        try:
+            where = Path(os.fsdecode(path))
+        except TypeError as error:
+            raise TypeError(f"path must be that of a file, got {path!r}.") from error
+        if where.is_dir():
+            raise IsADirectoryError(
+                f"{where} is a folder; pass the path of each of its files, as by "
+                "sorted(pathlib.Path(folder).glob('*.trc'))."
+            )
+        return cls(where, where.read_bytes())
 
     @property
     def suffix(self) -> str:
