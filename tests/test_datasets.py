@@ -697,7 +697,7 @@ def test_bad_trc_file(write, old, new, message):
 
 
 def test_truncated_trc_and_binary_file(write, tmp_path):
-    with pytest.raises(ValueError, match="expected the five lines"):
+    with pytest.raises(ValueError, match="line 2 is the last one, but a TRC header"):
         load_markers(write("PathFileType\t4\n"))
     (tmp_path / "movie.bin").write_bytes(bytes(range(256)))
     with pytest.raises(ValueError, match=r"movie.bin: no known format .it is not text"):

@@ -102,6 +102,10 @@ def check(data, *, rate=100.0, unit="mm", rtol=0.0):
         "semicolons and decimal commas": "\n".join(HEAD).replace("\t", ";")
         + BODY.replace(".", ",").replace("\t", ";"),
         "blanks": re.sub(r"\t+", "  ", TRC),
+        "rows in blanks": "\n".join(HEAD) + BODY.replace("\t", "  "),
+        "rows in blanks with decimal commas": "\n".join(HEAD)
+        + BODY.replace("\t", " ").replace(".", ","),
+        "rows in commas": "\n".join(HEAD) + BODY.replace("\t", ","),
         "quotes": TRC.replace("Hip", '"Hip"').replace("Knee", '"Knee"'),
         "no rate": changed("\n100\t", "\n\t"),
         "no counts": changed("NumFrames\tNumMarkers\tUnits", "Frames\tMarkers\tUnits"),
@@ -120,6 +124,23 @@ def check(data, *, rate=100.0, unit="mm", rtol=0.0):
 )
 def test_trc_as_programs_write_it(write, content):
     check(load_markers(write(content[1])))
+
+
+def test_a_first_frame_without_its_last_marker_hides_no_columns(write):
+    text = changed("\t\tX1\tY1\tZ1\tX2\tY2\tZ2\n", "")
+    text = changed("\t150.5\t480.5\t80.2", "\t\t\t", text)
+    knee = load_markers(write(text), gaps="nan").markers["Knee"]
+    assert_array_equal(np.isnan(knee[:, 0]), FRAMES == 0)
+    assert_array_equal(knee[1:], KNEE[1:])
+
+
+@pytest.mark.parametrize("mark", ["", " ", ".", "_"])
+def test_tab_separated_names_and_axes(write, mark):
+    head = "Time" + "".join(f"\tR {n}{mark}{a}" for n in ("Hip", "Knee") for a in "XYZ")
+    path = write(f"{head}\n" + rows(FRAMES, HIP, KNEE), "trial.txt")
+    data = load_markers(path, rate=100)
+    assert data.names == ["R Hip", "R Knee"]
+    assert_array_equal(data.markers["R Knee"], KNEE)
 
 
 def test_names_of_persons(write):
@@ -290,6 +311,16 @@ def test_deeplabcut_with_three_coordinates_and_without_likelihood(write):
         load_markers(write(text, "dlc.csv"), rate=50, unit="mm", min_likelihood=0.5)
 
 
+def test_deeplabcut_in_quotes_and_with_sets_of_frames(write):
+    lines = DLC.splitlines()
+    more = [",set", ",set", ",", *[",train"] * 4]
+    text = "\n".join(x + y for x, y in zip(lines, more, strict=True))
+    text = text.replace("scorer", '"scorer"').replace("bodyparts", '"bodyparts"')
+    data = load_markers(write(text, "dlc.csv"), rate=50)
+    assert data.names == ["Hip", "Knee"]
+    assert_array_equal(data.markers["Knee"][:, 0], 120.5 + FRAMES)
+
+
 def test_deeplabcut_of_several_animals(write):
     path = write(TWO, "dlc.csv")
     with pytest.raises(ValueError, match=r"individuals \['a', 'b'\]; pass individual"):
@@ -434,6 +465,13 @@ DEVICES = (
 )
 def test_vicon(write, content):
     check(load_markers(write(content[1], "trial.csv")))
+
+
+@pytest.mark.parametrize("lines", ["\n", "\n,,,\n", "\nan event by hand\n"])
+def test_blank_lines_do_not_end_a_section_of_vicon(write, lines):
+    text = NEXUS + UNITS + VICON.replace("\n3,", f"{lines}\n3,")
+    for end in ("", "\n" + DEVICES, "\n" + DEVICES.replace("Devices", "Gauges")):
+        check(load_markers(write(text + end, "trial.csv")))
 
 
 @pytest.mark.parametrize(

@@ -124,8 +124,9 @@ def load_markers(
     blank, NaN or infinite coordinate, a residual below zero (C3D), and a position at
     exactly 0, 0, 0.
 
-    C3D needs the library ezc3d, ``pip install "sklearn-koopman[c3d]"``. Only points are
-    read; angles, forces, moments and powers, which models store among them, are not.
+    C3D needs the library ezc3d, ``pip install ezc3d``, which the extra ``[c3d]`` of
+    this package brings. Only points are read; angles, forces, moments and powers,
+    which models store among them, are not.
 
     The tab-separated format has one line of column names,
     ``Time  NAMEX  NAMEY  NAMEZ ...``, and one line a frame. `Time` holds either the

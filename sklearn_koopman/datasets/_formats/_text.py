@@ -100,6 +100,17 @@ def split(line: str, delimiter: str | None) -> list[str]:
     return [field.strip().strip('"').strip() for field in line.split(delimiter)]
 
 
+def find_row_delimiter(line: str, delimiter: str | None, n_columns: int) -> str | None:
+    """Return what separates the numbers of a line, if the names have a delimiter."""
+    if len(split(line, delimiter)) > 1:
+        return delimiter
+    for other in (*DELIMITERS, None):
+        fields = drop_end(split(line, other))
+        if len(fields) == n_columns and all(map(is_number, fields)):
+            return other
+    return delimiter
+
+
 def drop_end(fields: list[str]) -> list[str]:
     """Drop the empty fields at the end of a line."""
     n_fields = max((i for i, field in enumerate(fields, 1) if field), default=0)
