@@ -200,7 +200,7 @@ def test_points_without_names_are_left_out(write):
         ({"point": {"RATE": 0.0}}, "does not say how many frames .* pass rate"),
         ({"point": {"UNITS": []}}, "does not say the unit .* pass unit"),
         ({"point": {"UNITS": [""]}}, "does not say the unit .* pass unit"),
-        ({"point": {"UNITS": ["inch"]}}, "'inch' as its unit"),
+        ({"point": {"UNITS": ["inch"]}}, "in inches: pass unit='mm', .* by 25.4"),
         ({"point": {"UNITS": ["m"]}}, "pass unit='mm'"),
         ({"labels": []}, "no positions of markers"),
         ({"positions": POSITIONS[:, :0], "labels": []}, "no positions of markers"),

@@ -157,6 +157,14 @@ def test_names_of_persons(write):
     assert "individuals" not in load_markers(path)
     with pytest.raises(ValueError, match=r"names no individuals; leave individual"):
         load_markers(path, individual="S2")
+    # A hip with a person, and one without.
+    for first, second in (("S1:Hip", "Hip"), ("Hip", "S1:Hip")):
+        path = write(TRC.replace("Knee", second).replace("\tHip", f"\t{first}", 1))
+        with pytest.raises(ValueError, match=r"\['S1'\]; pass individual, .*'S1'"):
+            load_markers(path)
+        data = load_markers(path, markers=[first, second])
+        assert_array_equal(data.markers[first], HIP)
+        assert_array_equal(data.markers[second], KNEE)
     # Two people with a hip each.
     path = write(TRC.replace("Hip", "S1:Hip").replace("Knee", "S2:Hip"))
     with pytest.raises(ValueError, match=r"\['S1', 'S2'\]; pass individual, .*'S1'"):
@@ -189,6 +197,25 @@ def test_metres_are_spelled_in_many_ways(write, spelled):
     data = load_markers(path)
     assert data.unit == "m"
     assert_array_equal(data.markers["Knee"], KNEE / 1000)
+
+
+@pytest.mark.parametrize(
+    ("unit", "message"),
+    [
+        ("in", r"in inches: pass unit='mm', and multiply the positions by 25\.4\."),
+        ("Inches", r"in inches: pass unit='mm', and multiply the positions by 25\.4\."),
+        ("ft", r"in feet: pass unit='mm', and multiply .* by 304\.8\."),
+        ("dm", r"in decimetres: pass unit='mm', and multiply .* by 100\."),
+        ("\N{MICRO SIGN}m", r"in micrometres: pass unit='mm', and .* by 0\.001\."),
+        ("micrometres", r"in micrometres: pass unit='mm', and .* by 0\.001\."),
+        ("px", "unit='px', but"),
+    ],
+)
+def test_other_units_say_how_to_convert(write, unit, message):
+    options = {"unit": "px"} if unit == "px" else {}
+    unit = unit.replace("px", "mm")
+    with pytest.raises(ValueError, match=message):
+        load_markers(write(changed("\tmm\t", f"\t{unit}\t")), **options)
 
 
 def test_thousands_are_not_taken_for_decimals(write):
@@ -251,6 +278,25 @@ def test_zeros_are_gaps_unless_kept(write):
     assert_array_equal(check_only.markers["Hip"], HIP)
 
 
+@pytest.mark.parametrize("number", ["9999", "-99999", "9999999.0", "9.999E+03"])
+def test_nines_are_gaps_unless_kept(write, number):
+    path = write(changed("152.5\t480.5\t80.2", "\t".join([number] * 3)))
+    place = f"{float(number):.0f}"
+    message = rf"1 of them stand at exactly {place}, {place}, {place}; zeros='keep'"
+    with pytest.raises(ValueError, match=message):
+        load_markers(path)
+    knee = load_markers(path, gaps="nan").markers["Knee"]
+    assert_array_equal(np.isnan(knee), (FRAMES == 2)[:, None] | [[False] * 3])
+    kept = load_markers(path, zeros="keep", unit="mm").markers["Knee"]
+    assert_array_equal(kept[2], [float(number)] * 3)
+
+
+@pytest.mark.parametrize("place", ["999\t999\t999", "9999\t9999\t999", "98\t98\t98"])
+def test_other_places_are_no_gaps(write, place):
+    knee = load_markers(write(changed("152.5\t480.5\t80.2", place)), unit="mm")
+    assert_array_equal(knee.markers["Knee"][2], np.array(place.split(), dtype=float))
+
+
 def test_zeros_do_not_change_the_size_of_the_body(write):
     # Two of four frames at the origin would make a body of more than 900 mm: in
     # decimetres, a unit of metres would be nearer to it than the true one.
@@ -292,10 +338,21 @@ def test_deeplabcut(write):
     assert_array_equal(data.time, FRAMES / 50)
     assert data.unit == "px"
     assert load_markers(path, rate=50, unit="mm").unit == "mm"
-    with pytest.raises(ValueError, match=r"'Knee' in 1 frames, first in line 6\. Fill"):
+    assert load_markers(path, rate=50, unit="px").unit == "px"
+    with pytest.raises(
+        ValueError, match=r"line 6\. 1 of them have a likelihood below 0\.6"
+    ):
         load_markers(path, rate=50, min_likelihood=0.6)
     knee = load_markers(path, rate=50, min_likelihood=0.6, gaps="nan").markers["Knee"]
     assert_array_equal(np.isnan(knee), (FRAMES == 2)[:, np.newaxis] | [[False] * 2])
+    negative = changed("0.2\n", "-1\n", DLC).replace("120.5,260.4", "0,0")
+    with pytest.raises(
+        ValueError,
+        match=r"'Knee' in 2 .* 1 of them .* exactly 0, 0; .* 1 of them .* below 0,",
+    ):
+        load_markers(write(negative, "other.csv"), rate=50)
+    lost = load_markers(write(negative, "other.csv"), rate=50, gaps="nan")
+    assert_array_equal(np.isnan(lost.markers["Knee"][:, 0]), [1, 0, 1, 0])
     kept = load_markers(path, rate=50, min_likelihood=0.2)
     assert not np.isnan(kept.markers["Knee"]).any()
 
@@ -561,6 +618,18 @@ def test_a_rate_that_is_given_wins_over_the_head_but_not_over_time(write):
     check(load_markers(path, rate=100))
     with pytest.raises(ValueError, match=r"by 100 frames per second, but rate is 50"):
         load_markers(path, rate=50)
+
+
+def test_a_rate_that_differs_from_the_head_warns(write):
+    path = write(QUALISYS + rows(HIP, KNEE), "trial.tsv")
+    with pytest.warns(
+        UserWarning, match=r"rate=50 is used, but FREQUENCY is 120; leave"
+    ):
+        check(load_markers(path, rate=50), rate=50.0)
+    check(load_markers(path, rate=119.0), rate=119.0)
+    path = write(NEXUS + UNITS + VICON, "trial.csv")
+    with pytest.warns(UserWarning, match=r"rate=50 .*, but the rate in line 2 is 100"):
+        check(load_markers(path, rate=50), rate=50.0)
 
 
 def test_stamps_between_frames_are_kept(write):
