@@ -847,16 +847,16 @@ HIERARCHY
 ROOT Hips
 {
   OFFSET 0 0 0
-  CHANNELS 3 Zrotation Xrotation Yrotation
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
   End Site
   { OFFSET 0 1 0 }
 }
 MOTION
 Frames: 3
 Frame Time: 0.01
-170 0 0
--170 5 0
--160 10 0
+-200 0 200 170 0 0
+200 1 -200 -170 5 0
+0 2 0 -160 10 0
 """
 MOTIVE = """\
 Format Version,1.23,Take Name,walk,Export Frame Rate,100.0
@@ -876,11 +876,20 @@ LOOKALIKES = {
     "walk.npz": (npz(), "an archive of NumPy", "trials.markers[1]['hip'][0, 0]"),
     "walk.npy": (npy(), "an array of NumPy", "pairs.X[2, 3]"),
     "walk.mat": (mat(), "arrays of MATLAB", "pairs.X[2, 3]"),
-    "walk.bvh": (BVH, "BVH", "pairs.y[0, 0]"),
+    "walk.bvh": (BVH, "BVH", "[*pairs.y[0]]"),
     "walk.csv": (MOTIVE, "OptiTrack's CSV", "pairs.X[1, 2]"),
-    "table.csv": ("time,hip,knee\n0.0,1,2\n0.1,3,4\n", "a table", "pairs.X[0, 1]"),
+    "table.csv": ("time,hip,knee\n0.0,1,2\n0.1,3,4\n", "a table", "[*pairs.X[0]]"),
+    "last.csv": (
+        "hip,knee,note,Time (s)\n1,2,x,0\n3,4,y,1\n",
+        "a table",
+        "[*pairs.X[0]]",
+    ),
+    "twice.csv": ("a, a,Frame\n1,2,0\n3,4,1\n", "a table", "[*pairs.X[0]]"),
+    "comma.csv": ('"hip";knee;t\n1,5;2;0\n3;4;1\n', "a table", "[*pairs.X[0]]"),
+    "blanks.txt": ("hip knee\n1 2\n3 4\n", "a table", "[*pairs.X[0]]"),
 }
-RIGHT = [np.radians(10), HIP[2, 0], KNEE[2, 0], KNEE[2, 0], 190, 6, 2]
+RIGHT = [np.radians(10), HIP[2, 0], KNEE[2, 0], KNEE[2, 0], [190, 5, 0], 6]
+RIGHT += [[1, 2], [1, 2], [1, 2], [1.5, 2], [1, 2]]
 
 
 @pytest.mark.parametrize(("name", "right"), zip(LOOKALIKES, RIGHT, strict=True))
@@ -903,15 +912,18 @@ def test_the_lines_that_bring_in_other_files_run(write, name, right):
 
 
 def test_the_lines_that_bring_in_frames_of_openpose_run(write):
-    for number in range(3):
+    for number in range(6):
         path = write(POSES.replace("[1,", f"[{number},"), f"pose_{number}.json")
+    write('{"people": []}', "pose_6.json")
+    write(POSES.replace("1, 2", "0, 0"), "pose_7.json")
+    write(POSES, "pose_8.json")
     with pytest.raises(ValueError, match=r"key points in JSON") as info:
         load_markers(path)
     lines = str(info.value).split("Bring it in by:\n")[1].rsplit("\n", 1)[0]
     names = {"file": str(path), "numpy": np, "json": json, "pathlib": pathlib}
     names |= {"trajectory_pairs": sklearn_koopman.trajectory_pairs}
     exec(textwrap.dedent(lines), names)
-    assert_array_equal(names["pairs"].X, [[0, 2, 3, 4], [1, 2, 3, 4]])
+    assert_array_equal(names["pairs"].X, [[k, 2, 3, 4] for k in range(5)])
 
 
 @pytest.mark.parametrize(
@@ -919,6 +931,12 @@ def test_the_lines_that_bring_in_frames_of_openpose_run(write):
     [
         ("poses.h5", b"\x89HDF\r\n\x1a\n", r"HDF5.*load_dataset\(file, .*DeepLabCut"),
         ("poses.slp", b"\x89HDF\r\n\x1a\n", r"SLEAP.*markers_from_movement\(dataset\)"),
+        (
+            "a.csv",
+            "track,frame_idx,instance.score,a.x\n,0,1,2\n",
+            r"SLEAP.*\.slp.*movem",
+        ),
+        ("a.csv", "a_x,a_ncams,fnum\n1,2,0\n", r"Anipose.*\(file, .*'Anipose'\)"),
         ("walk.xlsx", b"PK\x03\x04", r"Excel.*pandas.read_excel\(file\)"),
         ("walk.amc", "#!OML:ASF\n", r"AMC.*C3D"),
         ("walk.mvnx", "<?xml?>\n", r"MVN.*C3D"),
