@@ -633,7 +633,7 @@ def test_gaps_can_be_read_and_filled(write, text):
         (
             TSV.replace("\t481\t", "\t\t").replace("\t482\t", "\tNaN\t"),
             {},
-            r"of 3 frames, .* 'R.Knee' in 2 frames, first in line 3\. Fill",
+            r"of 3 frames, .* 'R.Knee' in 2 frames, first in line 3\. Pass",
         ),
         (
             TSV.replace("\t902\t", "\tinf\t").replace("\t480.25\t", "\t \t"),

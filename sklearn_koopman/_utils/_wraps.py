@@ -105,7 +105,7 @@ def warn_of_wraps(found: dict[str, dict[str, float]]) -> None:
     period = "360" if turn == 360 else "2 * np.pi"
     warn(
         f"{label}{others} jumps by almost a full turn in column {columns}: these "
-        "angles wrap, and the jumps are no motion. Unwrap them by "
-        f"kinematics.unwrap_angles(..., period={period}), before gaps are filled; or "
-        "encode angles that turn on and on by kinematics.RotationEncoder."
+        "angles wrap, and the jumps are no motion. Encode angles that turn on and on "
+        "by kinematics.RotationEncoder; unwrap others by "
+        f"kinematics.unwrap_angles(..., period={period}), before gaps are filled."
     )

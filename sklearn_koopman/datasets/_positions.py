@@ -231,6 +231,7 @@ def _refuse_gaps(
         )
     raise ValueError(
         f"of {len(table)} frames, coordinates are missing for {'; '.join(gaps)}. "
-        f"{''.join(remarks)}Fill short gaps: pass gaps='nan', and the markers to "
-        "kinematics.fill_gaps; or cut the file there, or leave these markers out."
+        f"{''.join(remarks)}Pass gaps='nan'; then fill short gaps by "
+        "kinematics.fill_gaps, and cut at others by trajectory_pairs(gaps='split'). Or "
+        "leave these markers out."
     )

@@ -111,6 +111,9 @@ class RotationEncoder(TransformerMixin, BaseEstimator):
     `TransformedTargetRegressor` turns a DataFrame of outputs into an array before it
     calls the transformer. Give columns by their numbers then, and not by names.
 
+    States with delays hold copies of the recording side by side. Name the columns of
+    each: ``quaternions=list(range(12))`` for three copies of one quaternion.
+
     :func:`~sklearn_koopman.trajectories.trajectory_pairs` warns of angles that wrap.
     Encode recordings before they are paired, and transform predictions back by
     :meth:`inverse_transform`; or pair angles that are unwrapped.
@@ -470,6 +473,11 @@ def _find_numbers(
         raise ValueError(f"{name}={given!r} must be a list of columns; put it into [].")
     numbers = []
     for column in given:
+        if isinstance(column, list | tuple | np.ndarray):
+            raise ValueError(
+                f"{name}={given!r} holds the list {column!r}; name all columns in one "
+                "list, one after another."
+            )
         is_number = isinstance(column, Integral) and not isinstance(column, bool)
         if is_number and 0 <= column < n_features:
             numbers.append(int(column))
@@ -547,9 +555,10 @@ def _nearest_angles(cosines: Array, sines: Array, middles: Array) -> tuple[Array
     """
     is_lost = np.hypot(cosines, sines) < MIN_DISTINCTNESS
     # Half a turn is exact, so that both ends of a turn remain what they were. A sine
-    # of zero is at the end that is nearer to 0: the sum turns -0.0 into 0.0.
+    # of zero is at the end that is nearer to 0: the sums turn -0.0 into 0.0.
     side = np.where(middles % 2 == 1, -1.0, 1.0)
-    sines = np.where(middles < 0, side * sines + 0.0, side * sines)
+    sines = side * (sines + 0.0)
+    sines = np.where(middles < 0, sines + 0.0, sines)
     angles = np.pi * middles + np.arctan2(sines, side * cosines)
     return np.where(is_lost, np.nan, angles), is_lost
 
