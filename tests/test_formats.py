@@ -940,6 +940,8 @@ def test_the_lines_that_bring_in_frames_of_openpose_run(write):
         ("walk.xlsx", b"PK\x03\x04", r"Excel.*pandas.read_excel\(file\)"),
         ("walk.amc", "#!OML:ASF\n", r"AMC.*C3D"),
         ("walk.mvnx", "<?xml?>\n", r"MVN.*C3D"),
+        ("walk.txt", "1\t0.5\n2\t0.6\n", r"no known format .*an array of numbers"),
+        ("walk.csv", "Objects,,\n100,,\n", r"no known format .*an array of numbers"),
         ("walk.txt", "hello\nworld\n", r"no known format \(line 1 is 'hello'\)"),
         ("walk.bin", bytes(range(256)), r"no known format \(it is not text\)"),
         ("walk.txt", "", r"the file is empty"),

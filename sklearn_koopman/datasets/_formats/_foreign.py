@@ -66,7 +66,10 @@ def _is_table(file: File) -> bool:
         return False
     delimiter = find_delimiter(lines[0])
     names, numbers = (split(line, delimiter) for line in lines[:2])
-    return len(names) == len(numbers) > 1 and any(map(is_number, filter(None, numbers)))
+    named = [name for name in names if name]
+    has_names = len(named) > 1 and not any(map(is_number, named))
+    has_numbers = any(map(is_number, filter(None, numbers)))
+    return has_names and has_numbers and len(names) == len(numbers)
 
 
 def _read_table(file: File) -> str:
