@@ -17,6 +17,8 @@ names where these are usual ones, and the axes by how a leg stands and bends::
     python examples/plot_walking.py --data *.c3d --hip RGT --knee RKNE --ankle RANK
     python examples/plot_walking.py --data a1.csv a2.csv b1.csv --person A A B --rate 60
 
+It prints the markers, axes and gaps of each leg, and asks for what it cannot tell.
+
 What is left out is the last stride of one file, the last one of several files, or the
 last one of several persons. Persons differ in size: their ankles are then learned as
 parts of the length of the leg, and predictions are multiplied by the length again.
@@ -55,6 +57,8 @@ USUAL = {
 MAX_GAP = 0.1  # seconds
 MAX_FOLDS = 6
 IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "px": 1.0}
+AXES = ("x", "y", "z", "-x", "-y", "-z")
+SAME_LEG = 1.05  # the longest over the shortest length measured of one person's leg
 
 
 def read_arguments(arguments=None):
@@ -63,7 +67,12 @@ def read_arguments(arguments=None):
     )
     parser.add_argument("--data", nargs="+", help="files of markers, of any format")
     parser.add_argument("--person", nargs="+", help="who walks, a name for each file")
-    parser.add_argument("--rate", type=float, help="frames per second, if not in them")
+    parser.add_argument(
+        "--rate",
+        type=float,
+        nargs="+",
+        help="frames per second, if not in the files: of all of them, or of each",
+    )
     parser.add_argument("--unit", choices=["mm", "cm", "m"], help="unit of the markers")
     parser.add_argument("--individual", help="who is read, if files hold several")
     parser.add_argument(
@@ -73,10 +82,12 @@ def read_arguments(arguments=None):
         parser.add_argument(
             f"--{joint}", nargs="+", help=f"{joint} markers in the files, one a leg"
         )
-    parser.add_argument(
-        "--forward", help="axis of walking, as in --forward=-x (default: found)"
-    )
-    parser.add_argument("--up", help="axis that points up, such as z (default: found)")
+    for name, what in (("forward", "axis of walking"), ("up", "axis that points up")):
+        parser.add_argument(
+            f"--{name}",
+            choices=AXES,
+            help=f"{what}, as in --{name}=-x (default: found)",
+        )
     parser.add_argument(
         "--ahead",
         type=float,
@@ -94,43 +105,54 @@ def read_arguments(arguments=None):
         "--figure", default="walking.png", help="where to save (default: %(default)s)"
     )
     options = parser.parse_args(arguments)
-    if options.person and len(options.person) != len(options.data or []):
+    n_files = len(options.data or [])
+    if options.person and len(options.person) != n_files:
         parser.error("name one --person for each file of --data")
-    given = [getattr(options, joint) for joint in JOINTS]
-    if any(given) and len({len(names or []) for names in given}) > 1:
-        parser.error("name one --hip, one --knee and one --ankle for each leg")
+    if options.rate and len(options.rate) not in (1, n_files):
+        parser.error("give one --rate, or one for each file of --data")
+    if options.pieces < 1:
+        parser.error("cut each recording into at least one of --pieces")
+    given = [getattr(options, joint) or [] for joint in JOINTS]
+    legs = [{*leg} for leg in zip(*given, strict=False)]
+    if len({*map(len, given)}) > 1 or any(len(leg) < len(JOINTS) for leg in legs):
+        parser.error("name another --hip, --knee and --ankle for each leg")
     return options
 
 
 def read_trials(options):
-    """Return the markers, the frame rate and the unit of each file."""
+    """Return the name, the markers, the frame rate and the unit of each file."""
     if options.data:
+        rates = options.rate or [None]
         trials = [
             load_markers(
                 file,
-                rate=options.rate,
+                rate=rate,
                 unit=options.unit,
                 gaps="nan",
                 min_likelihood=options.min_likelihood,
                 individual=options.individual,
             )
-            for file in options.data
+            for file, rate in zip(
+                options.data, rates * (len(options.data) // len(rates)), strict=True
+            )
         ]
-        return [(trial.markers, trial.rate, trial.unit) for trial in trials]
+        return [
+            (trial.filename, trial.markers, trial.rate, trial.unit) for trial in trials
+        ]
     import gaitkit
 
     trial = gaitkit.load_example("healthy")
     print(f"{trial['description']} ({trial['source']})")
     frames = [frame["landmark_positions"] for frame in trial["angle_frames"]]
     markers = {name: np.array([frame[name] for frame in frames]) for name in frames[0]}
-    return [(markers, float(trial["fps"]), "mm")]
+    return [("gaitkit", markers, float(trial["fps"]), "mm")]
 
 
 def find_joints(names, options):
     """Return the names of the hip, knee and ankle of each leg; ask if they hide."""
     if options.hip:
         return list(zip(options.hip, options.knee, options.ankle, strict=True))
-    legs = []
+    legs, known = [], {joint: [] for joint in JOINTS}
     for side in (*SIDES, ""):
         leg = [
             [n for n in names if re.fullmatch(pattern, n, re.IGNORECASE)]
@@ -139,54 +161,69 @@ def find_joints(names, options):
         ]
         if all(len(found) == 1 for found in leg):
             legs.append([name for found in leg for name in found])
+        for joint, found in zip(JOINTS, leg, strict=True):
+            known[joint] += found
     if not legs:
+        likely = [f"{joint} {' or '.join(x) or '?'}" for joint, x in known.items()]
         raise SystemExit(
             "Which markers are hip, knee and ankle? Name them by --hip, --knee and "
-            f"--ankle, one for each leg. There are {', '.join(names)}."
+            f"--ankle, one for each leg. There are {', '.join(names)}. Known by their "
+            f"names: {', '.join(likely)}."
         )
     return legs
 
 
 def find_axes(hip, ankle, options):
-    """Return the directions forward (or backward) and up."""
-    axes = np.eye(hip.shape[1])
-    signed = {
-        f"{s}{n}": k * a
-        for s, k in (("", 1), ("-", -1))
-        for n, a in zip("xyz", axes, strict=False)
-    }
-    leg = (hip - ankle).mean(axis=0)
+    """Return the names of the directions forward (or backward) and up."""
+    leg = np.nanmean(hip - ankle, axis=0)
     highest = np.abs(leg).argmax()  # a hip is above its ankle
-    up = signed[options.up] if options.up else np.sign(leg[highest]) * axes[highest]
-    swing = (hip - ankle).std(axis=0) * (up == 0)
-    return signed[options.forward] if options.forward else axes[swing.argmax()], up
+    up = options.up or ("-" if leg[highest] < 0 else "") + "xyz"[highest]
+    swing = np.nanstd(hip - ankle, axis=0) * (direction(up, len(leg)) == 0)
+    return options.forward or "xyz"[swing.argmax()], up
+
+
+def direction(axis, n_axes):
+    """Return the vector of an axis, such as that of -x."""
+    vector = np.zeros(3)
+    vector["xyz".index(axis[-1])] = -1 if axis[0] == "-" else 1
+    return vector[:n_axes]
 
 
 def read_legs(options):
-    """Return the recordings of the legs, and the unit of their ankles.
+    """Return the recordings of the legs, the files, and the unit of the ankles.
 
-    A recording has angles, ankle, the length of the leg, the file and the rate.
+    A recording has angles, ankle, the length of the leg, the number of the file, and
+    the rate.
     """
     legs = []
     trials = read_trials(options)
     if len({unit == "px" for *_, unit in trials}) > 1:
         raise SystemExit("Some files are in pixels, others are not; take one kind.")
-    for number, (markers, rate, unit) in enumerate(trials):
+    for number, (file, markers, rate, unit) in enumerate(trials):
         for names in find_joints([*markers], options):
+            for name in names:
+                if name not in markers or np.isnan(markers[name]).all():
+                    fate = "is lost in all frames" if name in markers else "is none"
+                    raise SystemExit(
+                        f"{file}: {name} {fate} of {', '.join(markers)}; name others."
+                    )
             leg = {n: IN_MM[unit] * markers[n] for n in names}
-            filled, _ = fill_gaps(leg, max_gap=max(round(MAX_GAP * rate), 1))
-            joints = np.stack([*filled.values()])
-            seen = ~np.isnan(joints).any(axis=(0, 2))
-            forward, up = find_axes(joints[0, seen], joints[2, seen], options)
-            angles, ankle = np.full((2, len(seen), 2), np.nan)
-            angles[seen], ankle[seen] = leg_angles(
-                *joints[:, seen], forward=forward, up=up
-            )
+            filled, frames = fill_gaps(leg, max_gap=max(round(MAX_GAP * rate), 1))
+            hip, _, ankle = joints = [*filled.values()]
+            forward, up = find_axes(hip, ankle, options)
+            axes = {"forward": direction(forward, hip.shape[1])}
+            axes["up"] = direction(up, hip.shape[1])
+            angles, ankle = leg_angles(*joints, **axes)
             if not options.forward and np.nanmedian(angles[:, 1]) < 0:
                 # Knees bend backward: it was the other way.
-                angles, ankle = -angles, ankle * [-1, 1]
-            legs.append((angles, ankle, leg_length(*joints[:, seen]), number, rate))
-    return legs, "px" if unit == "px" else "mm"
+                angles, ankle, forward = -angles, ankle * [-1, 1], f"-{forward}"
+            n_lost = np.isnan(angles[:, 0]).sum()
+            print(
+                f"{file}: {', '.join(names)}; forward {forward}, up {up}; of "
+                f"{len(angles)} frames {len(frames)} filled, {n_lost} cut out"
+            )
+            legs.append((angles, ankle, leg_length(*joints), number, rate))
+    return legs, [file for file, *_ in trials], "px" if unit == "px" else "mm"
 
 
 def rms(error):
@@ -196,10 +233,16 @@ def rms(error):
 
 def main(arguments=None):
     options = read_arguments(arguments)
-    legs, unit = read_legs(options)
-    n_files = 1 + max(number for *_, number, _ in legs)
+    legs, files, unit = read_legs(options)
+    n_files = len(files)
     persons = options.person or ["one"] * n_files
     has_persons = len(set(persons)) > 1
+    sizes = [np.mean([leg[2] for leg in legs if leg[3] == n]) for n in range(n_files)]
+    if not options.person and max(sizes) > SAME_LEG * min(sizes):
+        print(
+            f"The legs of the files are {min(sizes):.0f} to {max(sizes):.0f} {unit} "
+            "long. If they are of several persons, name who walks in each by --person."
+        )
     kind = "person" if has_persons else "trial" if n_files > 1 else "stride"
     rate = min(leg[-1] for leg in legs)
     lag = max(round(options.ahead * rate), 1)
@@ -230,6 +273,8 @@ def main(arguments=None):
         "resample": rate if len(set(rates)) > 1 else None,
     }
     pairs = trajectory_pairs(angles, ankles, **settings)
+    last = {"person": persons[-1], "trial": files[-1], "stride": "the last of each leg"}
+    print(f"held out, {kind}: {last[kind]}")
     is_test = np.array([unit == units[-1] for unit in units])
     test = is_test[pairs.groups]
     train = ~test
@@ -243,6 +288,8 @@ def main(arguments=None):
     left_out = numbers[pairs.groups[train]]
     if len(np.unique(left_out)) < 2:
         left_out = pairs.groups[train]
+    if len(np.unique(left_out)) < 2:
+        raise SystemExit("Too little is left to learn from; pass more --pieces.")
 
     model = Pipeline(
         [
@@ -336,5 +383,16 @@ def plot(pairs, test, size, now, search, ahead, title, unit, figure):
     plt.close(fig)
 
 
+def spell(error):
+    """Return the message of an error, with the parameters as options of this script."""
+    names = "rate|unit|individual|min_likelihood"
+    text = re.sub(rf"\b({names})=", r"--\1 ", str(error))
+    text = re.sub(rf"(pass|and|leave) ({names})\b", r"\1 --\2", text)
+    return text.replace("--min_", "--min-")
+
+
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except (ValueError, OSError, ImportError) as error:
+        raise SystemExit(spell(error)) from None

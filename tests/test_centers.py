@@ -313,6 +313,7 @@ HARD = ["lattice", "duplicates", "line", "clusters", "spread", "walk"]
 SEPARATIONS = [0.0, 0.1, 0.2, 0.1 * np.sqrt(2), 0.3, 1e-3, 0.7, 1.0, 3.0]
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, derandomize=True, database=None)
 @given(
     st.sampled_from(HARD),

@@ -724,12 +724,12 @@ def test_gaps_can_be_read_and_filled(write, text):
         (TSV, {"markers": []}, r"markers=\[\]; pass a list"),
         (TSV, {"rate": 0}, "rate must be .* got 0"),
         (TSV, {"rate": np.nan}, "rate must be .* got nan"),
-        (TSV, {"unit": "inch"}, "'mm', 'cm', 'm', got 'inch'"),
+        (TSV, {"unit": "inch"}, "'mm', 'cm', 'm', 'px', got 'inch'"),
         (TSV, {"gaps": "keep"}, "gaps must be one of 'raise', 'nan', got 'keep'"),
         (
             TSV.replace("\t481\t", "\t\t").replace("\t482\t", "\tNaN\t"),
             {},
-            r"of 3 frames, .* 'R.Knee' in 2 frames, first in line 3\. Fill",
+            r"of 3 frames, .* 'R.Knee' in 2 frames, first in line 3\. Pass",
         ),
         (
             TSV.replace("\t902\t", "\tinf\t").replace("\t480.25\t", "\t \t"),
@@ -771,7 +771,7 @@ def test_bad_tab_separated_file(write, text, options, message):
         ("PathFileType", "FileType", r"line 1: found 'FileType.*PathFileType"),
         ("100.00\t100.00\t3", "fast\t100.00\t3", r"line 3: DataRate is 'fast'"),
         ("100.00\t100.00\t3", "50\t100.00\t3", r"by 100 .* DataRate in line 3 is 50;"),
-        ("\tmm\t", "\tinch\t", r"gives 'inch' as its unit, .* pass unit, which wins"),
+        ("\tmm\t", "\tmil\t", r"gives 'mil' as its unit, .* pass unit, which wins"),
         ("\tUnits\t", "\tunit\t", r"does not say the unit of .*; pass unit, one"),
         ("Frame#\t", "#\t", r"line 4: found '#.*expected 'Frame#', 'Time'"),
         ("R.Knee\t\t", "R.Hip\t\t", r"2 markers have the name 'R.Hip'"),
@@ -793,7 +793,7 @@ def test_bad_trc_file(write, old, new, message):
 
 
 def test_truncated_trc_and_binary_file(write, tmp_path):
-    with pytest.raises(ValueError, match="expected the five lines"):
+    with pytest.raises(ValueError, match="line 2 is the last one, but a TRC header"):
         load_markers(write("PathFileType\t4\n"))
     (tmp_path / "movie.bin").write_bytes(bytes(range(256)))
     with pytest.raises(ValueError, match=r"movie.bin: no known format .it is not text"):

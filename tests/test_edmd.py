@@ -240,6 +240,7 @@ def fresh_residuals(model, X, X_next):
     return np.sqrt(defect / np.mean(np.abs(phi) ** 2, axis=0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kernel", ["matern32", pytest.param("wendland_c4", marks=pytest.mark.slow)]
 )
@@ -373,6 +374,7 @@ def test_forecast_by_either_route_equals_brute_force(pendulum, n_rows, n_outputs
     assert relative(model.forecast(x, 60), expected) < 1e-8
 
 
+@pytest.mark.slow
 def test_forecast_of_more_steps_than_a_block(pendulum):
     model = KernelEDMD("wendland_c4", beta=4.0, centers=SeparatedCenterSelector(0.23))
     model.fit(pendulum.X, X_next=pendulum.X_next)
@@ -942,6 +944,7 @@ def test_start_far_outside_is_no_divergence():
     np.testing.assert_allclose(y[0, :, 0], 1e4 * 0.5 ** np.arange(1, 9))
 
 
+@pytest.mark.slow
 def test_another_process_forecasts_the_same_bits(pendulum, tmp_path):
     model = KernelEDMD("wendland_c4", beta=4.0, centers=SeparatedCenterSelector(0.1))
     model.fit(pendulum.X, pendulum.y, X_next=pendulum.X_next)

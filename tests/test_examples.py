@@ -95,6 +95,9 @@ def test_walking_on_files_of_several_persons(tmp_path):
     files = [tmp_path / f"{p}.{end}" for p in "ABC" for end in ("trc", "csv")]
     out = run("plot_walking.py", tmp_path, "--data", *files, "--person", *"AABBCC")
     assert "18 trajectories of 6 legs at 60 Hz" in out
+    assert "held out, person: C" in out
+    assert out.count("RHip, RKnee, RAnkle; forward x, up y; of ") == 3
+    assert out.count("forward x, up z; of ") == 3
     persistence = number(r"persistence: +([\d.]+) mm", out)
     assert 60 < persistence < 160
     assert 10 * number(r"this model: +([\d.]+) mm", out) < persistence
@@ -103,14 +106,99 @@ def test_walking_on_files_of_several_persons(tmp_path):
 @pytest.mark.slow
 def test_walking_asks_for_the_joints(tmp_path):
     path = tmp_path / "trial.txt"
-    path.write_text("Time\tm1X\tm1Y\tm1Z\n0\t1\t2\t3\n1\t1\t2\t3\n")
-    command = [sys.executable, EXAMPLES / "plot_walking.py", "--data", path]
-    result = subprocess.run(
-        [*command, "--rate", "60"], capture_output=True, text=True, check=False
+    names = ["m1", "r_hip", "l_hip"]
+    head = "Time" + "".join(f"\t{name}{axis}" for name in names for axis in "XYZ")
+    path.write_text(
+        f"{head}\n" + "".join(f"{k}" + "\t1\t2\t3" * 3 + "\n" for k in "01")
     )
-    assert result.returncode == 1
-    assert "Name them by --hip, --knee and --ankle" in result.stderr
-    assert "There are m1." in result.stderr
+    message = refusal(tmp_path, "--data", path, "--rate", "60")
+    assert "Name them by --hip, --knee and --ankle" in message
+    assert "There are m1, r_hip, l_hip." in message
+    assert "hip r_hip or l_hip, knee ?, ankle ?." in message
+
+
+def refusal(tmp_path, *arguments):
+    """Run the example of walking, which is to end with a message, and return it."""
+    command = [sys.executable, EXAMPLES / "plot_walking.py", *map(str, arguments)]
+    result = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert result.returncode > 0
+    assert "Traceback" not in result.stderr
+    return result.stderr
+
+
+@pytest.fixture
+def walk(tmp_path):
+    """Write the markers of some frames, and change them before."""
+
+    def write(name="walk.trc", change=lambda markers: None, n_frames=None, rate="100"):
+        trial = make_walking(speeds=[1.2], n_strides=3, rate=100.0, random_state=0)
+        markers = {k: x[:n_frames] for k, x in trial.markers[0].items()}
+        change(markers)
+        frames = np.arange(len(markers["hip"]))
+        rows = np.column_stack([frames, frames / 100, *markers.values()])
+        head = f"PathFileType\t4\nDataRate\tUnits\n{rate}\tmm\nFrame#\tTime\t"
+        head += "\t\t\t".join(markers) + "\n\t" + "\tX\tY\tZ" * 3
+        path = tmp_path / name
+        np.savetxt(path, rows, "%.9g", "\t", header=head, comments="")
+        return path
+
+    return write
+
+
+DLC = "scorer{}\nindividuals{}\nbodyparts{}\ncoords{}\n0,1,2,3,4\n1,1,2,3,4\n".format(
+    ",n" * 4, ",a,a,b,b", ",hip" * 4, ",x,y,x,y"
+)
+
+
+@pytest.mark.slow
+def test_walking_says_what_is_wrong_by_its_options(tmp_path, walk):
+    poses = tmp_path / "poses.csv"
+    poses.write_text(DLC)
+    for arguments, message in [
+        (["--data", "none.trc"], "No such file or directory: 'none.trc'"),
+        (["--data", poses], "pass --individual, such as --individual 'a'"),
+        (["--data", poses, "--individual", "a"], "pass --rate, such as --rate 100"),
+        (["--data", poses, "--up", "q"], "--up: invalid choice: 'q'"),
+        (["--data", walk(), "--up=y", "--forward=-y"], "are not orthogonal"),
+        (["--data", walk(), "--rate", "50"], "--rate 100"),
+        (["--data", walk(), "--rate", "50", "60"], "one for each file of --data"),
+        (["--data", walk(), "--pieces", "2"], "pass more --pieces"),
+        (["--data", walk(), "--pieces", "0"], "at least one of --pieces"),
+        (
+            ["--data", walk(), "--hip", "hip", "--knee", "knee", "--ankle", "foot"],
+            "walk.trc: foot is none of hip, knee, ankle",
+        ),
+        (
+            ["--data", walk(), "--hip", "hip", "--knee", "knee", "--ankle", "knee"],
+            "another --hip, --knee and --ankle",
+        ),
+    ]:
+        assert message in refusal(tmp_path, *arguments), arguments
+    path = walk("lost.trc", lambda m: m["knee"].fill(np.nan))
+    assert "lost.trc: knee is lost in all frames" in refusal(tmp_path, "--data", path)
+
+
+@pytest.mark.slow
+def test_walking_prints_what_it_chose(tmp_path, walk):
+    def lose(markers):
+        markers["knee"][50:53] = np.nan  # filled
+        markers["ankle"][100:130] = np.nan  # cut
+        for marker in markers.values():
+            marker[:, 0] *= -1.1
+            marker[:, 1:] *= 1.1
+
+    files = [walk("a.trc"), walk("b.trc", lose, rate="")]
+    out = run("plot_walking.py", tmp_path, "--data", *files, "--rate", "100", "100")
+    assert (
+        "a.trc: hip, knee, ankle; forward x, up y; of 352 frames 0 filled, 0 c" in out
+    )
+    assert (
+        "b.trc: hip, knee, ankle; forward -x, up y; of 352 frames 3 filled, 30" in out
+    )
+    assert re.search(r"The legs of the files are 850 to 935 mm long.* --person\.", out)
+    assert re.search(r"held out, trial: .*b\.trc", out)
 
 
 @pytest.mark.slow

@@ -82,7 +82,9 @@ def test_one_far_state_among_many_is_found(n_rows, n_jobs):
     assert does_warn(model.predict, states)
 
 
-@pytest.mark.parametrize("n_centers", [127, 129, 2600])
+@pytest.mark.parametrize(
+    "n_centers", [127, 129, pytest.param(2600, marks=pytest.mark.slow)]
+)
 def test_any_number_of_centres_tells_far_states(n_centers):
     """Some centres are asked first, in blocks that must fit their working memory."""
     X = np.linspace(0, 1, n_centers)[:, np.newaxis]

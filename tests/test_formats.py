@@ -75,6 +75,7 @@ def check(data, *, rate=100.0, unit="mm", rtol=0.0):
         "byte order mark": "\ufeff" + TRC,
         "lines end in CR LF": TRC.replace("\n", "\r\n"),
         "lines end in CR": TRC.replace("\n", "\r"),
+        "lines end in CR CR LF": TRC.replace("\n", "\r\r\n"),
         "UTF-16 with a mark": TRC.encode("utf-16"),
         "UTF-16 without, little-endian": TRC.encode("utf-16-le"),
         "UTF-16 without, big-endian": TRC.encode("utf-16-be"),
@@ -101,6 +102,10 @@ def check(data, *, rate=100.0, unit="mm", rtol=0.0):
         "semicolons and decimal commas": "\n".join(HEAD).replace("\t", ";")
         + BODY.replace(".", ",").replace("\t", ";"),
         "blanks": re.sub(r"\t+", "  ", TRC),
+        "rows in blanks": "\n".join(HEAD) + BODY.replace("\t", "  "),
+        "rows in blanks with decimal commas": "\n".join(HEAD)
+        + BODY.replace("\t", " ").replace(".", ","),
+        "rows in commas": "\n".join(HEAD) + BODY.replace("\t", ","),
         "quotes": TRC.replace("Hip", '"Hip"').replace("Knee", '"Knee"'),
         "no rate": changed("\n100\t", "\n\t"),
         "no counts": changed("NumFrames\tNumMarkers\tUnits", "Frames\tMarkers\tUnits"),
@@ -121,6 +126,23 @@ def test_trc_as_programs_write_it(write, content):
     check(load_markers(write(content[1])))
 
 
+def test_a_first_frame_without_its_last_marker_hides_no_columns(write):
+    text = changed("\t\tX1\tY1\tZ1\tX2\tY2\tZ2\n", "")
+    text = changed("\t150.5\t480.5\t80.2", "\t\t\t", text)
+    knee = load_markers(write(text), gaps="nan").markers["Knee"]
+    assert_array_equal(np.isnan(knee[:, 0]), FRAMES == 0)
+    assert_array_equal(knee[1:], KNEE[1:])
+
+
+@pytest.mark.parametrize("mark", ["", " ", ".", "_"])
+def test_tab_separated_names_and_axes(write, mark):
+    head = "Time" + "".join(f"\tR {n}{mark}{a}" for n in ("Hip", "Knee") for a in "XYZ")
+    path = write(f"{head}\n" + rows(FRAMES, HIP, KNEE), "trial.txt")
+    data = load_markers(path, rate=100)
+    assert data.names == ["R Hip", "R Knee"]
+    assert_array_equal(data.markers["R Knee"], KNEE)
+
+
 def test_names_of_persons(write):
     text = TRC.replace("Hip", "S1:Hip").replace("Knee", "S1:Knee")
     path = write(text)
@@ -135,6 +157,14 @@ def test_names_of_persons(write):
     assert "individuals" not in load_markers(path)
     with pytest.raises(ValueError, match=r"names no individuals; leave individual"):
         load_markers(path, individual="S2")
+    # A hip with a person, and one without.
+    for first, second in (("S1:Hip", "Hip"), ("Hip", "S1:Hip")):
+        path = write(TRC.replace("Knee", second).replace("\tHip", f"\t{first}", 1))
+        with pytest.raises(ValueError, match=r"\['S1'\]; pass individual, .*'S1'"):
+            load_markers(path)
+        data = load_markers(path, markers=[first, second])
+        assert_array_equal(data.markers[first], HIP)
+        assert_array_equal(data.markers[second], KNEE)
     # Two people with a hip each.
     path = write(TRC.replace("Hip", "S1:Hip").replace("Knee", "S2:Hip"))
     with pytest.raises(ValueError, match=r"\['S1', 'S2'\]; pass individual, .*'S1'"):
@@ -169,10 +199,51 @@ def test_metres_are_spelled_in_many_ways(write, spelled):
     assert_array_equal(data.markers["Knee"], KNEE / 1000)
 
 
+@pytest.mark.parametrize(
+    ("unit", "message"),
+    [
+        ("in", r"in inches: pass unit='mm', and multiply the positions by 25\.4\."),
+        ("Inches", r"in inches: pass unit='mm', and multiply the positions by 25\.4\."),
+        ("ft", r"in feet: pass unit='mm', and multiply .* by 304\.8\."),
+        ("dm", r"in decimetres: pass unit='mm', and multiply .* by 100\."),
+        ("\N{MICRO SIGN}m", r"in micrometres: pass unit='mm', and .* by 0\.001\."),
+        ("micrometres", r"in micrometres: pass unit='mm', and .* by 0\.001\."),
+        ("px", "unit='px', but"),
+    ],
+)
+def test_other_units_say_how_to_convert(write, unit, message):
+    options = {"unit": "px"} if unit == "px" else {}
+    unit = unit.replace("px", "mm")
+    with pytest.raises(ValueError, match=message):
+        load_markers(write(changed("\tmm\t", f"\t{unit}\t")), **options)
+
+
 def test_thousands_are_not_taken_for_decimals(write):
     text = "\n".join(HEAD) + BODY.replace("900.25", "1,900.25")
     with pytest.raises(ValueError, match=r"trial.trc: line 7: '1,900.25' in .*HipY"):
         load_markers(write(text))
+
+
+@pytest.mark.parametrize("rate", ["100,00", "100.0", "1e2", "100,"])
+def test_rates_with_decimal_commas(write, rate):
+    text = TRC.replace("\n100\t", f"\n{rate}\t").replace("\t4\t2\t", "\t4,0\t2,0\t")
+    data = load_markers(write(text))
+    assert data.rate == 100.0
+
+
+def test_thousands_are_no_rate(write):
+    text = QUALISYS.replace("\t120", "\t1,200") + rows(HIP, KNEE)
+    with pytest.raises(ValueError, match="does not say how many frames"):
+        load_markers(write(text, "trial.tsv"))
+
+
+@pytest.mark.parametrize(
+    "spelled", ["na", "NA", "#N/A", "NoData", "-1.#IND", "1.#QNAN", "NaN", "null"]
+)
+def test_spellings_of_what_is_missing(write, spelled):
+    text = changed("\t12.5\t", f"\t{spelled}\t")
+    hip = load_markers(write(text), gaps="nan").markers["Hip"]
+    assert_array_equal(np.isnan(hip[:, 0]), FRAMES == 2)
 
 
 def test_python_spellings_are_no_numbers(write):
@@ -205,6 +276,25 @@ def test_zeros_are_gaps_unless_kept(write):
     # Markers that are not read may be lost.
     check_only = load_markers(path, markers=["Hip"])
     assert_array_equal(check_only.markers["Hip"], HIP)
+
+
+@pytest.mark.parametrize("number", ["9999", "-99999", "9999999.0", "9.999E+03"])
+def test_nines_are_gaps_unless_kept(write, number):
+    path = write(changed("152.5\t480.5\t80.2", "\t".join([number] * 3)))
+    place = f"{float(number):.0f}"
+    message = rf"1 of them stand at exactly {place}, {place}, {place}; zeros='keep'"
+    with pytest.raises(ValueError, match=message):
+        load_markers(path)
+    knee = load_markers(path, gaps="nan").markers["Knee"]
+    assert_array_equal(np.isnan(knee), (FRAMES == 2)[:, None] | [[False] * 3])
+    kept = load_markers(path, zeros="keep", unit="mm").markers["Knee"]
+    assert_array_equal(kept[2], [float(number)] * 3)
+
+
+@pytest.mark.parametrize("place", ["999\t999\t999", "9999\t9999\t999", "98\t98\t98"])
+def test_other_places_are_no_gaps(write, place):
+    knee = load_markers(write(changed("152.5\t480.5\t80.2", place)), unit="mm")
+    assert_array_equal(knee.markers["Knee"][2], np.array(place.split(), dtype=float))
 
 
 def test_zeros_do_not_change_the_size_of_the_body(write):
@@ -248,10 +338,21 @@ def test_deeplabcut(write):
     assert_array_equal(data.time, FRAMES / 50)
     assert data.unit == "px"
     assert load_markers(path, rate=50, unit="mm").unit == "mm"
-    with pytest.raises(ValueError, match=r"'Knee' in 1 frames, first in line 6\. Fill"):
+    assert load_markers(path, rate=50, unit="px").unit == "px"
+    with pytest.raises(
+        ValueError, match=r"line 6\. 1 of them have a likelihood below 0\.6"
+    ):
         load_markers(path, rate=50, min_likelihood=0.6)
     knee = load_markers(path, rate=50, min_likelihood=0.6, gaps="nan").markers["Knee"]
     assert_array_equal(np.isnan(knee), (FRAMES == 2)[:, np.newaxis] | [[False] * 2])
+    negative = changed("0.2\n", "-1\n", DLC).replace("120.5,260.4", "0,0")
+    with pytest.raises(
+        ValueError,
+        match=r"'Knee' in 2 .* 1 of them .* exactly 0, 0; .* 1 of them .* below 0,",
+    ):
+        load_markers(write(negative, "other.csv"), rate=50)
+    lost = load_markers(write(negative, "other.csv"), rate=50, gaps="nan")
+    assert_array_equal(np.isnan(lost.markers["Knee"][:, 0]), [1, 0, 1, 0])
     kept = load_markers(path, rate=50, min_likelihood=0.2)
     assert not np.isnan(kept.markers["Knee"]).any()
 
@@ -265,6 +366,16 @@ def test_deeplabcut_with_three_coordinates_and_without_likelihood(write):
     assert "likelihood" not in data
     with pytest.raises(ValueError, match=r"min_likelihood=0.5, but the file holds no"):
         load_markers(write(text, "dlc.csv"), rate=50, unit="mm", min_likelihood=0.5)
+
+
+def test_deeplabcut_in_quotes_and_with_sets_of_frames(write):
+    lines = DLC.splitlines()
+    more = [",set", ",set", ",", *[",train"] * 4]
+    text = "\n".join(x + y for x, y in zip(lines, more, strict=True))
+    text = text.replace("scorer", '"scorer"').replace("bodyparts", '"bodyparts"')
+    data = load_markers(write(text, "dlc.csv"), rate=50)
+    assert data.names == ["Hip", "Knee"]
+    assert_array_equal(data.markers["Knee"][:, 0], 120.5 + FRAMES)
 
 
 def test_deeplabcut_of_several_animals(write):
@@ -329,6 +440,14 @@ AXES = "Hip X\tHip Y\tHip Z\tKnee X\tKnee Y\tKnee Z\n"
         "clock without names": QUALISYS
         + rows(FRAMES + 1, np.round(FRAMES / 120, 5), HIP, KNEE),
         "frames": QUALISYS + "Frame\t" + AXES + rows(FRAMES + 1, HIP, KNEE),
+        "version 2": "FILE_VERSION\t2.0.0\n" + QUALISYS + rows(HIP, KNEE),
+        "other columns in another order": QUALISYS
+        + "Frame\tKnee Z\tKnee Y\tKnee X\tKnee Res\tHip X\tHip Res\tHip Y\tHip Z\n"
+        + rows(FRAMES + 1, KNEE[:, ::-1], [7] * 4, HIP[:, 0], ["x"] * 4, HIP[:, 1:]),
+        "CR CR LF": (QUALISYS + rows(HIP, KNEE)).replace("\n", "\r\r\n"),
+        "decimal commas": (
+            QUALISYS.replace("\t120", "\t120,00") + rows(HIP, KNEE)
+        ).replace(".", ","),
         "a blank line, an event": QUALISYS.replace("TRAJ", "EVENT\ton\t3\t0.02\nTRAJ")
         + "\n"
         + rows(HIP, KNEE),
@@ -359,6 +478,14 @@ def test_bad_qualisys(write):
     path = write(QUALISYS.replace("\t4\n", "\t5\n", 1) + rows(HIP, KNEE), "trial.tsv")
     with pytest.warns(UserWarning, match=r"NO_OF_FRAMES is 5, but the file holds 4"):
         load_markers(path)
+    path = write(
+        QUALISYS.replace("MARKERS\t2", "MARKERS\t3") + rows(HIP, KNEE), "q.tsv"
+    )
+    with pytest.warns(UserWarning, match=r"NO_OF_MARKERS is 3, but the file holds 2"):
+        check(load_markers(path), rate=120.0)
+    other = QUALISYS + AXES.replace("Hip Y", "Hip V") + rows(HIP, KNEE)
+    with pytest.raises(ValueError, match=r"0 columns are called 'Hip Y', not one"):
+        load_markers(write(other, "trial.tsv"))
 
 
 NEXUS = "Trajectories\n100\n,,S1:Hip,,,S1:Knee,,\nFrame,Sub Frame,X,Y,Z,X,Y,Z\n"
@@ -395,6 +522,13 @@ DEVICES = (
 )
 def test_vicon(write, content):
     check(load_markers(write(content[1], "trial.csv")))
+
+
+@pytest.mark.parametrize("lines", ["\n", "\n,,,\n", "\nan event by hand\n"])
+def test_blank_lines_do_not_end_a_section_of_vicon(write, lines):
+    text = NEXUS + UNITS + VICON.replace("\n3,", f"{lines}\n3,")
+    for end in ("", "\n" + DEVICES, "\n" + DEVICES.replace("Devices", "Gauges")):
+        check(load_markers(write(text + end, "trial.csv")))
 
 
 @pytest.mark.parametrize(
@@ -484,6 +618,18 @@ def test_a_rate_that_is_given_wins_over_the_head_but_not_over_time(write):
     check(load_markers(path, rate=100))
     with pytest.raises(ValueError, match=r"by 100 frames per second, but rate is 50"):
         load_markers(path, rate=50)
+
+
+def test_a_rate_that_differs_from_the_head_warns(write):
+    path = write(QUALISYS + rows(HIP, KNEE), "trial.tsv")
+    with pytest.warns(
+        UserWarning, match=r"rate=50 is used, but FREQUENCY is 120; leave"
+    ):
+        check(load_markers(path, rate=50), rate=50.0)
+    check(load_markers(path, rate=119.0), rate=119.0)
+    path = write(NEXUS + UNITS + VICON, "trial.csv")
+    with pytest.warns(UserWarning, match=r"rate=50 .*, but the rate in line 2 is 100"):
+        check(load_markers(path, rate=50), rate=50.0)
 
 
 def test_stamps_between_frames_are_kept(write):
@@ -576,6 +722,16 @@ def test_files_of_other_dialects(write):
         ("0.02\t", "0.01\t", {}, r"line 13: time goes from 0.01 to 0.01"),
         ("0.02\t", "0.05\t", {}, r"line 13: time goes from 0.01 to 0.05"),
         ("version=1", "DataType=Quaternion", {}, r"type Quaternion, .*RotationEncoder"),
+        ("", "", {"angles": 5}, r"angles=5; pass a list of names, or None"),
+        ("", "", {"angles": (x for x in "ab")}, r"angles=<gen.*; pass a list of nam"),
+        ("Coordinates", "Speeds", {}, r"line 1: the file holds 'Speeds', no angles"),
+        ("Coordinates", "Accelerations", {}, r"holds 'Accelerations', no angles"),
+        ("Coordinates", "Positions ", {}, r"holds 'Positions', no angles"),
+        ("Coordinates", "PositionErrors", {}, r"holds 'PositionErrors', no angles"),
+        ("Coordinates", "Static Optimization", {}, r"'Static Optimization', no angl"),
+        ("Coordinates", "MomentArm_hip_flexion_r", {}, r"'MomentArm_hip.*, no angles"),
+        ("Coordinates", "Joint Reaction Loads", {}, r"'Joint Reaction L.*no angles"),
+        ("Coordinates", "Model Marker Errors from IK", {}, r"'Model Mar.*no angles"),
     ],
 )
 def test_bad_angles(write, old, new, options, message):
@@ -605,6 +761,66 @@ def test_forces_are_no_angles(write):
         load_angles(write(text, "grf.mot"))
 
 
+NO_ANGLES = [
+    *("center_of_mass_X", "1_ground_force_vy", "ground_px", "hip_fz", "pin_my", "tx"),
+    *("calcn_r_ty", "/jointset/pelvis/pelvis_tz/value", "total_squared_error"),
+    *("marker_error_RMS", "hip_flexion_r_reserve", "hip_on_femur_in_ground_fx"),
+    *("hip_flexion_r_moment", "/jointset/hip_r/hip_flexion_r/speed", "knee_angle_r_u"),
+]
+ANGLES = [
+    *("pelvis_tilt", "subtalar_angle_r", "mtp_angle_l", "lumbar_bending", "pro_sup_r"),
+    *("/jointset/hip_r/hip_flexion_r/value", "arm_flex_r", "wrist_dev_l"),
+    *("ground_thorax_rot_x", "r1_z", "elv_angle"),
+]
+
+
+def test_names_tell_angles_from_others(write):
+    names = [*NO_ANGLES, *ANGLES]
+    values = np.tile(np.arange(len(names)) / 10, (3, 1))
+    head = "walk_speeds.mot\ninDegrees=no\nendheader\ntime\t" + "\t".join(names) + "\n"
+    data = load_angles(write(head + rows([0.0, 0.5, 1.0], values), "walk.mot"))
+    assert data.names == ANGLES
+    assert data.left_out == NO_ANGLES
+    assert_array_equal(data.angles, values[:, len(NO_ANGLES) :])
+
+
+def test_angles_that_are_not_finite_are_missing(write):
+    text = COORDINATES.replace("\t21\t", "\tinf\t").replace("\t12\n", "\t-inf\n")
+    data = load_angles(write(text, "walk.mot"))
+    lost = np.zeros((4, 3), dtype=bool)
+    lost[1, 1] = lost[2, 2] = True
+    assert_allclose(
+        data.angles, np.radians(np.where(lost, np.nan, DEGREES)), rtol=1e-15
+    )
+
+
+def test_paths(write, tmp_path):
+    path = write(TRC)
+    check(load_markers(bytes(path)))
+    for reader in (load_markers, load_angles):
+        with pytest.raises(IsADirectoryError, match=r"is a folder; pass .* its files"):
+            reader(tmp_path)
+        with pytest.raises(FileNotFoundError):
+            reader(tmp_path / "none.trc")
+        with pytest.raises(TypeError, match=r"path must be that of a file, got 5"):
+            reader(5)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"markers": 5}, r"markers=5; pass a list of names, or None"),
+        ({"markers": (x for x in "ab")}, r"markers=<gen.*; pass a list of names"),
+        ({"markers": b"Hip"}, r"markers=b'Hip'; pass a list of names, or None"),
+        ({"individual": ["a", "b"]}, r"individual=\['a', 'b'\]; pass one name, or"),
+        ({"individual": 5}, r"individual=5; pass one name"),
+    ],
+)
+def test_choices_of_other_types(write, options, message):
+    with pytest.raises(ValueError, match=message):
+        load_markers(write(TRC), **options)
+
+
 # --- other files --------------------------------------------------------------------
 
 
@@ -631,16 +847,16 @@ HIERARCHY
 ROOT Hips
 {
   OFFSET 0 0 0
-  CHANNELS 3 Zrotation Xrotation Yrotation
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
   End Site
   { OFFSET 0 1 0 }
 }
 MOTION
 Frames: 3
 Frame Time: 0.01
-170 0 0
--170 5 0
--160 10 0
+-200 0 200 170 0 0
+200 1 -200 -170 5 0
+0 2 0 -160 10 0
 """
 MOTIVE = """\
 Format Version,1.23,Take Name,walk,Export Frame Rate,100.0
@@ -660,11 +876,20 @@ LOOKALIKES = {
     "walk.npz": (npz(), "an archive of NumPy", "trials.markers[1]['hip'][0, 0]"),
     "walk.npy": (npy(), "an array of NumPy", "pairs.X[2, 3]"),
     "walk.mat": (mat(), "arrays of MATLAB", "pairs.X[2, 3]"),
-    "walk.bvh": (BVH, "BVH", "pairs.y[0, 0]"),
+    "walk.bvh": (BVH, "BVH", "[*pairs.y[0]]"),
     "walk.csv": (MOTIVE, "OptiTrack's CSV", "pairs.X[1, 2]"),
-    "table.csv": ("time,hip,knee\n0.0,1,2\n0.1,3,4\n", "a table", "pairs.X[0, 1]"),
+    "table.csv": ("time,hip,knee\n0.0,1,2\n0.1,3,4\n", "a table", "[*pairs.X[0]]"),
+    "last.csv": (
+        "hip,knee,note,Time (s)\n1,2,x,0\n3,4,y,1\n",
+        "a table",
+        "[*pairs.X[0]]",
+    ),
+    "twice.csv": ("a, a,Frame\n1,2,0\n3,4,1\n", "a table", "[*pairs.X[0]]"),
+    "comma.csv": ('"hip";knee;t\n1,5;2;0\n3;4;1\n', "a table", "[*pairs.X[0]]"),
+    "blanks.txt": ("hip knee\n1 2\n3 4\n", "a table", "[*pairs.X[0]]"),
 }
-RIGHT = [np.radians(10), HIP[2, 0], KNEE[2, 0], KNEE[2, 0], 190, 6, 2]
+RIGHT = [np.radians(10), HIP[2, 0], KNEE[2, 0], KNEE[2, 0], [190, 5, 0], 6]
+RIGHT += [[1, 2], [1, 2], [1, 2], [1.5, 2], [1, 2]]
 
 
 @pytest.mark.parametrize(("name", "right"), zip(LOOKALIKES, RIGHT, strict=True))
@@ -687,15 +912,18 @@ def test_the_lines_that_bring_in_other_files_run(write, name, right):
 
 
 def test_the_lines_that_bring_in_frames_of_openpose_run(write):
-    for number in range(3):
+    for number in range(6):
         path = write(POSES.replace("[1,", f"[{number},"), f"pose_{number}.json")
+    write('{"people": []}', "pose_6.json")
+    write(POSES.replace("1, 2", "0, 0"), "pose_7.json")
+    write(POSES, "pose_8.json")
     with pytest.raises(ValueError, match=r"key points in JSON") as info:
         load_markers(path)
     lines = str(info.value).split("Bring it in by:\n")[1].rsplit("\n", 1)[0]
     names = {"file": str(path), "numpy": np, "json": json, "pathlib": pathlib}
     names |= {"trajectory_pairs": sklearn_koopman.trajectory_pairs}
     exec(textwrap.dedent(lines), names)
-    assert_array_equal(names["pairs"].X, [[0, 2, 3, 4], [1, 2, 3, 4]])
+    assert_array_equal(names["pairs"].X, [[k, 2, 3, 4] for k in range(5)])
 
 
 @pytest.mark.parametrize(
@@ -703,9 +931,17 @@ def test_the_lines_that_bring_in_frames_of_openpose_run(write):
     [
         ("poses.h5", b"\x89HDF\r\n\x1a\n", r"HDF5.*load_dataset\(file, .*DeepLabCut"),
         ("poses.slp", b"\x89HDF\r\n\x1a\n", r"SLEAP.*markers_from_movement\(dataset\)"),
+        (
+            "a.csv",
+            "track,frame_idx,instance.score,a.x\n,0,1,2\n",
+            r"SLEAP.*\.slp.*movem",
+        ),
+        ("a.csv", "a_x,a_ncams,fnum\n1,2,0\n", r"Anipose.*\(file, .*'Anipose'\)"),
         ("walk.xlsx", b"PK\x03\x04", r"Excel.*pandas.read_excel\(file\)"),
         ("walk.amc", "#!OML:ASF\n", r"AMC.*C3D"),
         ("walk.mvnx", "<?xml?>\n", r"MVN.*C3D"),
+        ("walk.txt", "1\t0.5\n2\t0.6\n", r"no known format .*an array of numbers"),
+        ("walk.csv", "Objects,,\n100,,\n", r"no known format .*an array of numbers"),
         ("walk.txt", "hello\nworld\n", r"no known format \(line 1 is 'hello'\)"),
         ("walk.bin", bytes(range(256)), r"no known format \(it is not text\)"),
         ("walk.txt", "", r"the file is empty"),

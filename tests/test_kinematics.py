@@ -352,6 +352,51 @@ def test_half_of_the_frames_may_be_upside_down():
         leg_angles(*(m[1:] for m in markers), forward=0, up=1)
 
 
+@pytest.mark.parametrize("normalize", [False, True])
+def test_frames_with_a_lost_marker_are_nan(walk, normalize):
+    lost = np.isin(np.arange(200), [3, 50, 51, 199])
+    markers = [marker.copy() for marker in walk]
+    markers[1][3, 1] = markers[0][50:52] = markers[2][199, 2] = np.nan
+    options = {"forward": 0, "up": 1, "normalize": normalize}
+    whole = leg_angles(*(marker[~lost] for marker in walk), **options)
+    for values, right in zip(leg_angles(*markers, **options), whole, strict=True):
+        assert values.shape == (200, 2)
+        assert_array_equal(np.isnan(values), lost[:, None] | [[False] * 2])
+        assert_array_equal(values[~lost], right)
+    assert leg_length(*markers) == leg_length(*(marker[~lost] for marker in walk))
+
+
+def test_pairs_are_cut_where_a_marker_is_lost(walk):
+    markers = [marker.copy() for marker in walk]
+    markers[1][50:52] = np.nan
+    states, ankle = leg_angles(*markers, forward=0, up=1)
+    pairs = trajectory_pairs([states], [ankle], gaps="split")
+    assert len(pairs.X) == 49 + 147
+    whole, _ = leg_angles(*walk, forward=0, up=1)
+    assert_array_equal(pairs.X, np.vstack([whole[:49], whole[52:199]]))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_wrong_axes_warn(sign):
+    turned = [marker[:, [0, 2, 1]] * [1, 1, sign] for marker in WALK]
+    up = "2" if sign > 0 else r"\[0, 0, -1\]"
+    message = rf"outside of .* forward=0 and up=1.*along axis 2: pass up={up}, and"
+    with pytest.warns(UserWarning, match=message):
+        leg_angles(*turned, forward=0, up=1)
+    right = leg_angles(*turned, forward=0, up=2 if sign > 0 else [0, 0, -1])
+    for values, same in zip(right, leg_angles(*WALK, forward=0, up=1), strict=True):
+        assert_array_equal(values, same)
+
+
+@pytest.mark.parametrize(("degrees", "warns"), [(0, 0), (40, 0), (50, 1)])
+def test_a_leg_may_be_spread(degrees, warns, recwarn):
+    angle = np.radians(degrees)
+    points = np.array([[0, 0, 0], [0, -400, 0], [0, -780.0, 0]])
+    turned = points @ [[1, 0, 0], [0, np.cos(angle), np.sin(angle)], [0, 0, 1]]
+    leg_angles(*turned[:, None], forward=0, up=1)
+    assert len(recwarn) == warns
+
+
 # --- gaps ---------------------------------------------------------------------------
 
 
@@ -720,7 +765,7 @@ def test_masked_markers_are_refused_then_filled(walk):
     expected, _ = leg_angles(*smooth, forward=0, up=1)
     markers[1][7, 2] = 9000.0
     markers[1][7, 2] = np.ma.masked
-    with pytest.raises(ValueError, match=r"knee holds .*masked.* frame 7; .*fill_gaps"):
+    with pytest.raises(ValueError, match=r"knee .* masked in 1 .* 7; .*fill_gaps"):
         leg_angles(*markers, forward=0, up=1)
     smooth[1][100:103] = np.ma.masked
     filled = [fill_gaps(marker, max_gap=3)[0] for marker in smooth]
@@ -739,8 +784,20 @@ def _with(marker, frame, value):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (_with("knee", (3, 1), np.nan), r"knee holds NaN .* 1 of 200 .* frame 3"),
-        (_with("ankle", 7, np.inf), r"ankle holds NaN or infinity .* frame 7"),
+        (_with("ankle", 7, np.inf), r"ankle holds infinity .* 1 of 200 .* frame 7"),
+        (
+            lambda m: [
+                _with("hip", slice(100, None), np.nan)(m),
+                m.update(
+                    knee=np.where(np.arange(200)[:, None] < 100, np.nan, m["knee"])
+                ),
+            ],
+            r"no frame of 200 .* NaN in \{'hip': 100, 'knee': 100, 'ankle': 0\} frames",
+        ),
+        (
+            lambda m: [_with("hip", 2, np.nan)(m), _with("ankle", 5, m["knee"][5])(m)],
+            r"shank has no length .* frame 5",
+        ),
         (
             lambda m: m.update(hip=m["hip"][:-1]),
             r"'hip': \(199, 3\), 'knee': \(200, 3\), 'an",
@@ -802,7 +859,8 @@ def test_bad_axes_of_planar_markers(walk, axes, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (_with("knee", (3, 1), np.nan), r"knee holds NaN .* 1 of 200 .* frame 3"),
+        (_with("knee", (3, 1), -np.inf), r"knee holds infinity .* 1 of 200 .* frame 3"),
+        (_with("knee", slice(None), np.nan), r"'knee': 200, .* seen together"),
         (lambda m: m.update(hip=m["hip"][:, :2]), r"'hip': \(200, 2\), .* \(200, 3\)"),
         (lambda m: {m.update({k: m[k][:, :1]}) for k in m}, r"'hip': \(200, 1\)"),
         (lambda m: m.update(ankle=m["ankle"] * 100), r"thigh length is .* unit"),

@@ -182,6 +182,34 @@ def test_positions_in_space_have_the_unit_of_their_calibration():
     assert trial.markers["tail"].shape == (N_FRAMES, 3)
 
 
+@pytest.mark.parametrize("fps", [0, -5.0, np.nan, np.inf, "50", [50]])
+def test_rates_that_are_none_are_refused(fps):
+    with pytest.raises(
+        ValueError, match=r"the attribute fps must be a finite positive"
+    ):
+        markers_from_movement(poses(fps=None, individuals=1).assign_attrs(fps=fps))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"markers": 5}, r"markers=5; pass a list of names"),
+        ({"individual": ["a", "b"]}, r"individual=\['a', 'b'\]; pass one name"),
+        ({"unit": "inch"}, r"unit must be .*'px', got 'inch'"),
+    ],
+)
+def test_choices_of_other_types(options, message):
+    with pytest.raises(ValueError, match=message):
+        markers_from_movement(poses(), **options)
+
+
+def test_a_rate_that_differs_from_fps_warns_without_seconds():
+    dataset = poses(fps=None).assign_attrs(fps=50.0)
+    with pytest.warns(UserWarning, match=r"rate=25 is used, but fps is 50"):
+        trial = markers_from_movement(dataset, rate=25, individual="a", unit="px")
+    assert trial.rate == 25.0
+
+
 def test_errors_name_the_file():
     dataset = poses(source_file="/data/mouse.slp")
     with pytest.raises(ValueError, match=r"^/data/mouse\.slp: .*no marker 'ear'"):

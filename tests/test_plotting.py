@@ -280,6 +280,7 @@ def test_keyword_arguments_reach_artists(
             assert not np.any(np.asarray(other.get_linewidth()) == 3.25)
 
 
+@pytest.mark.slow
 def test_nothing_else_imports_matplotlib():
     code = """
 import sys

@@ -19,7 +19,7 @@ HIP = 910.25 + 10.0 * np.arange(3) + 1.25 * FRAMES[:, np.newaxis]
 KNEE = HIP - 450.5
 SURE = np.full(N_FRAMES, 0.99)
 # Warnings of a head that counts other frames, markers or rows than there are.
-COUNTS = r"(NumFrames|NumMarkers|NO_OF_FRAMES|nRows).* is .*, but the file holds"
+COUNTS = r"(NumFrames|NumMarkers|NO_OF_\w+|nRows).* is .*, but the file |rate=100 is "
 
 
 @dataclass

@@ -48,7 +48,11 @@ def test_the_main_job_runs_as_printed(tmp_path, monkeypatch):
     assert np.degrees(-names["scores"].min()) < 2
     for states, angles in zip(names["states"], walks.trajectories, strict=True):
         assert np.abs(states - angles).max() < 1e-7
-    assert len(names["ahead"].X) == sum(len(x) - 20 for x in walks.outputs)
+    steps = names["steps"]
+    assert len(steps.X) == sum(len(x) - 20 for x in walks.outputs)
+    came = np.concatenate([x[20:] for x in walks.outputs])  # segments of 850 mm
+    assert np.abs(850 * steps.y - came).max() < 1e-5
+    assert np.sqrt(np.mean((names["ankle_in_mm"] - came) ** 2)) < 0.1 * persistence
     error = names["turning"].predict([[345.0], [320.0], [10.0]]) - [[35], [10], [60]]
     assert np.abs(error).max() < 1e-3
     # The synthetic trials have 0.7 to 1.1 strides a second.

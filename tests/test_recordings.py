@@ -157,6 +157,7 @@ offsets_lists = st.lists(st.integers(1, 4), max_size=3).map(
 )
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=150)
 @given(
     there=st.lists(st.lists(st.booleans(), min_size=1, max_size=40), min_size=1),

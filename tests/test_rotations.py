@@ -190,6 +190,34 @@ def test_turn_of_the_angles_that_were_seen(unit, parts, middle):
         assert_allclose(back, X, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("unit", ["degrees", "radians"])
+@pytest.mark.parametrize("ends", [(0, 360), (-360, 0), (-180, 180), (360, 540)])
+def test_a_zero_with_a_sign_returns_as_zero(unit, ends):
+    turn = 360.0 if unit == "degrees" else 2 * np.pi
+    angles = np.array([[*ends]]).T * turn / 360
+    zeros = np.array([[0.0], [-0.0]])
+    encoder = RotationEncoder(unit=unit).fit(angles)
+    returned = encoder.inverse_transform(encoder.transform(zeros))
+    np.testing.assert_array_equal(
+        returned, np.full((2, 1), max(ends[0], 0) * turn / 360)
+    )
+
+
+def test_copies_with_delays_are_named_one_after_another():
+    turns = Rotation.random(30, random_state=0).as_quat(canonical=True)
+    pairs = trajectory_pairs([turns], delays=3)
+    encoder = RotationEncoder([], quaternions=list(range(12))).fit(pairs.X)
+    matrices = Rotation.from_quat(turns).as_matrix().reshape(-1, 9)
+    encoded = encoder.transform(pairs.X)
+    for copy in range(3):
+        np.testing.assert_allclose(
+            encoded[:, 9 * copy : 9 * copy + 9],
+            matrices[2 - copy : 29 - copy],
+            rtol=0,
+            atol=1e-14,
+        )
+
+
 def test_radians_that_are_degrees_warn():
     knee = np.array([[0.0, 1.0], [60.0, 1.2], [np.nan, 1.1]])
     with pytest.warns(UserWarning, match=r"reach 60 radians\. .*unit='degrees'; .*%"):
@@ -365,7 +393,8 @@ FRAME = pd.DataFrame(UNIT, columns=["hip", "b", "c", "d"])
         ({"angles": [-1]}, UNIT, "holds -1, which is no column"),
         ({"angles": [True]}, UNIT, "holds True, which is no column"),
         ({"angles": [0.0]}, UNIT, r"holds 0\.0, which is no column"),
-        ({"angles": [[0, 1]]}, UNIT, r"holds \[0, 1\], which is no column"),
+        ({"angles": [[0, 1]]}, UNIT, r"holds the list \[0, 1\]; name all col"),
+        ({"quaternions": [(0, 1, 2, 3)]}, UNIT, "in one list, one after another"),
         ({"angles": "hip"}, FRAME, "angles='hip' must be a list"),
         ({"angles": 0}, UNIT, "angles=0 must be a list"),
         ({"angles": [0, 0]}, UNIT, "column 0 is named twice, in angles and in angles="),
@@ -679,7 +708,7 @@ def test_crank_as_an_output():
         radians = np.radians(angle)
         return 170 * np.column_stack([np.cos(radians), np.sin(radians)])
 
-    with pytest.warns(UserWarning, match=r"unwrap_angles.*RotationEncoder"):
+    with pytest.warns(UserWarning, match=r"RotationEncoder.*unwrap_angles"):
         wrapped = trajectory_pairs(place(crank), crank % 360)
     unwrapped = unwrap_angles(crank % 360, period=360)
     pairs = trajectory_pairs(place(crank), unwrapped)

@@ -387,6 +387,7 @@ def test_noise_terms_of_the_kernel_join_the_nugget(noisy):
     assert_allclose(model.predict(X_new), expected, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_sums_that_workers_share_are_weighted(noisy):
     X, y, _ = noisy
     sections = KernelSections(Wendland(1.0, 2), X[:12])

@@ -50,6 +50,13 @@ def check_positive(values: Any, name: str) -> Array:
     )
 
 
+def check_names(names: Any, parameter: str) -> None:
+    """Refuse anything but None and a collection of names."""
+    is_list = isinstance(names, Collection) and not isinstance(names, str | bytes)
+    if names is not None and not (is_list and len(names)):
+        raise ValueError(f"{parameter}={names!r}; pass a list of names, or None.")
+
+
 def check_flag(value: Any, name: str) -> None:
     """Refuse anything but True and False."""
     if not isinstance(value, bool | np.bool_):

@@ -8,6 +8,27 @@ from ._warnings import warn
 TURNS = (360.0, 2 * np.pi)
 # Angles that wrap have glitches in no more than this part of their steps.
 MAX_STRANGE = 0.1
+# A joint that turns farther than this, in radians, has its angles in degrees.
+MAX_TURN = 4 * np.pi
+
+
+def find_degrees(angles: Array) -> tuple[int, float] | None:
+    """Find the column whose angles, in radians, are too large for any joint.
+
+    Parameters
+    ----------
+    angles : ndarray of shape (n_samples, n_columns)
+        Angles that are said to be in radians, NaN where they are missing.
+
+    Returns
+    -------
+    found : tuple of int and float, or None
+        The column with the largest angle, and this angle.
+    """
+    sizes = np.max(np.abs(angles), axis=0, initial=0.0, where=~np.isnan(angles))
+    if sizes.max(initial=0.0) <= MAX_TURN:
+        return None
+    return int(sizes.argmax()), float(sizes.max())
 
 
 def find_wraps(rows: Array, following: Array) -> dict[int, float]:
@@ -84,7 +105,7 @@ def warn_of_wraps(found: dict[str, dict[str, float]]) -> None:
     period = "360" if turn == 360 else "2 * np.pi"
     warn(
         f"{label}{others} jumps by almost a full turn in column {columns}: these "
-        "angles wrap, and the jumps are no motion. Unwrap them by "
-        f"kinematics.unwrap_angles(..., period={period}), before gaps are filled; or "
-        "encode angles that turn on and on by kinematics.RotationEncoder."
+        "angles wrap, and the jumps are no motion. Encode angles that turn on and on "
+        "by kinematics.RotationEncoder; unwrap others by "
+        f"kinematics.unwrap_angles(..., period={period}), before gaps are filled."
     )

@@ -3,26 +3,26 @@
 import os
 import re
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from sklearn.utils import Bunch
 
 from .._utils._typing import Array
-from .._utils._validation import check_choice
+from .._utils._validation import check_choice, check_names
 from .._utils._warnings import warn
+from .._utils._wraps import find_degrees
 from ._clock import read_clock
 from ._formats._storage import read_storage
 from ._formats._text import File
 
 RADIANS = {"degrees": np.pi / 180, "radians": 1.0}
-# OpenSim's names of what is no angle: translations, speeds, forces, muscles.
+# OpenSim's names of what is no angle: translations, speeds, positions and forces by
+# their axes, muscles, actuators, errors.
 NO_ANGLE = re.compile(
-    r"_t[xyz](/value)?$|_u$|/speed$|force|torque|moment|activation|fiber_length",
+    r"(^|_)t[xyz](/value)?$|_u$|/speed$|_[vpfm][xyz]$|(?-i:_[XYZ]$)|_in_ground_"
+    r"|force|torque|moment|activation|fiber_length|reserve|error",
     re.IGNORECASE,
 )
-# A joint that turns farther than this, in radians, has its angles in degrees.
-MAX_TURN = 4 * np.pi
 
 
 def load_angles(
@@ -39,8 +39,8 @@ def load_angles(
         The file.
     angles : sequence of str, default=None
         Names of the columns to read. None reads all but those that OpenSim names as
-        something else: translations (``pelvis_tx``), speeds, forces, torques, moments,
-        activations and lengths of fibres.
+        something else: translations (``pelvis_tx``), positions, speeds, forces,
+        torques, moments, reserves, errors, activations and lengths of fibres.
     unit : {"degrees", "radians"}, default=None
         Unit of the angles in the file. None takes what the file says by ``inDegrees``.
 
@@ -51,7 +51,7 @@ def load_angles(
 
         angles : ndarray of shape (n_frames, n_angles)
             The angles in radians, whatever the unit of the file. NaN where the file
-            holds no number.
+            holds no finite number.
         names : list of str
             The names of the angles, in the order of the file or of `angles`.
         left_out : list of str
@@ -70,9 +70,10 @@ def load_angles(
     FileNotFoundError
         If there is no such file.
     ValueError
-        If the file is no storage of OpenSim or has no frames; if it does not say its
-        unit, and `unit` does not either; if a column is missing, appears twice, or is
-        no angle by its name; if a line has too few or too many fields, or a field is
+        If the file is no storage of OpenSim or has no frames; if its first line says
+        that it holds something else, such as speeds or moment arms; if it does not say
+        its unit, and `unit` does not either; if a column is missing, appears twice, or
+        is no angle by its name; if a line has too few or too many fields, or a field is
         no number; if the stamps of time do not advance evenly. The message names the
         file, the line or column, and what to do.
 
@@ -114,14 +115,13 @@ def load_angles(
     array([[20.], [21.]])
     """
     check_choice(unit, "unit", (None, *RADIANS))
-    if angles is not None and (isinstance(angles, str) or len(angles) == 0):
-        raise ValueError(f"angles={angles!r}; pass a list of names, or None.")
-    where = os.fspath(path)
-    file = File(Path(where), Path(where).read_bytes())
+    check_names(angles, "angles")
+    file, where = File.read(path), os.fsdecode(path)
     try:
         recording, names, unit_of_file = read_storage(file)
         chosen = _select(names, angles)
         values = recording.table.read([1 + names.index(name) for name in chosen])
+        values[~np.isfinite(values)] = np.nan
         time, rate = read_clock(recording, None)
         if np.isnan(rate):
             raise ValueError("the file holds one frame; a recording has several.")
@@ -171,11 +171,11 @@ def _select(names: list[str], angles: Sequence[str] | None) -> list[str]:
 
 def _warn_of_degrees(where: str, names: list[str], values: Array) -> None:
     """Warn if what the file calls radians is too large for a joint."""
-    largest = np.fmax.reduce(np.abs(values))
-    if np.fmax.reduce(largest) > MAX_TURN:
-        column = int(np.nanargmax(largest))
+    found = find_degrees(values)
+    if found:
+        column, largest = found
         warn(
             f"{where} says that its angles are in radians, but {names[column]!r} "
-            f"reaches {largest[column]:g}. If they are in degrees, pass "
-            "unit='degrees', else unit='radians'."
+            f"reaches {largest:g}. If they are in degrees, pass unit='degrees', else "
+            "unit='radians'."
         )

@@ -3,6 +3,7 @@
 import numpy as np
 
 from .._utils._typing import Array
+from .._utils._warnings import warn
 from ._formats._recording import Recording
 from ._formats._text import Table
 
@@ -19,15 +20,17 @@ def read_clock(recording: Recording, rate: float | None) -> tuple[Array, float]:
     these do not tell, it is returned as NaN.
     """
     rate_name = "rate" if rate is not None else recording.rate_name
-    rate = rate if rate is not None else recording.rate
+    given, rate = rate, rate if rate is not None else recording.rate
     table, column = recording.table, recording.stamps
     if column is None:
+        _warn_of_rates(given, recording)
         return np.arange(len(table)) / (rate or np.nan), rate or np.nan
     stamps = _stamps(table, column)
     is_whole = bool((stamps == np.rint(stamps)).all())
     is_frames = is_whole if recording.is_seconds is None else not recording.is_seconds
     _check_steps(table, column, stamps, is_frames=is_frames)
     if is_frames:
+        _warn_of_rates(given, recording)
         return (stamps - recording.first_frame) / (rate or np.nan), rate or np.nan
     steps, span = len(stamps) - 1, float(stamps[-1] - stamps[0])
     rate = rate or (rate_of_stamps(stamps) if steps else np.nan)
@@ -41,6 +44,16 @@ def read_clock(recording: Recording, rate: float | None) -> tuple[Array, float]:
     whole = np.rint(first)
     is_rounded = abs(first - whole) <= TIME_ROUNDING * rate
     return ((whole if is_rounded else first) + frames) / rate, rate
+
+
+def _warn_of_rates(given: float | None, recording: Recording) -> None:
+    """Warn of a rate that is given against the head, where no seconds decide."""
+    stated = recording.rate
+    if given and stated and abs(given - stated) > RATE_TOLERANCE * stated:
+        warn(
+            f"rate={given:g} is used, but {recording.rate_name} is {stated:g}; leave "
+            "rate out if the file is right."
+        )
 
 
 def _stamps(table: Table, column: int) -> Array:

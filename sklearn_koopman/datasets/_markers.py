@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from sklearn.utils import Bunch
 
 from ._formats import read_recording
+from ._formats._text import File
 from ._positions import Choices, check_choices, select_positions
 
 
@@ -39,21 +40,23 @@ def load_markers(
         stamps in seconds. It is needed for the files of Visual3D and DeepLabCut, and
         for tab-separated ones with numbers of frames. A rate that is given wins over
         the head, and must agree with stamps in seconds within 1 %.
-    unit : {"mm", "cm", "m"}, default=None
+    unit : {"mm", "cm", "m", "px"}, default=None
         Unit of the coordinates. None takes the unit that the file says, or "mm" for the
         formats of Qualisys and of [1]_, and "px" for DeepLabCut. A body is refused that
         would be smaller than 20 cm or larger than 3 m, and that another unit brings
         nearer to 1 m. The body is that of all markers of the file, whichever are read.
-        A unit that is given wins over the file, and is not checked.
+        A unit that is given wins over the file, and is not checked. Only poses in a
+        video are in "px".
     gaps : {"raise", "nan"}, default="raise"
         Whether gaps in the markers that are read are refused, or returned as NaN, for
         instance to fill them by :func:`~sklearn_koopman.kinematics.fill_gaps`.
     zeros : {"gap", "keep"}, default="gap"
         Whether a marker that stands at exactly 0, 0, 0 is lost, as many programs write
-        it, or is really there.
+        it, or is really there. The same holds where all coordinates are one number of
+        nines, at least four of them, such as 9999 or -99999.
     min_likelihood : float, default=None
         The smallest likelihood of a position that is kept; what is below is a gap. None
-        keeps all. Only for files that hold likelihoods.
+        keeps all but those below zero. Only for files that hold likelihoods.
     individual : str, default=None
         The person or animal to read, where the file holds several. It is the name in
         the head of a file of DeepLabCut, or what stands before the colon in names such
@@ -72,7 +75,8 @@ def load_markers(
         time : ndarray of shape (n_frames,)
             Time [s]: the stamp of the file if it is in seconds, put on the grid of the
             rate; else the number of the frame divided by the rate. The first frame of a
-            recording is at 0, whether its program counts from 0 or from 1.
+            recording is at 0, whether its program counts from 0 or from 1; numbers in
+            the tab-separated format count from 0.
         rate : float
             Frames per second.
         unit : str
@@ -105,7 +109,9 @@ def load_markers(
     Warns
     -----
     UserWarning
-        If the head of the file counts other frames or markers than it holds.
+        If the head of the file counts other frames or markers than it holds; if `rate`
+        differs from the rate of the head by more than 1 %, and no stamps in seconds
+        decide.
 
     See Also
     --------
@@ -120,11 +126,12 @@ def load_markers(
     -----
     Text may be in UTF-8, UTF-16 or the Western code page, with any ends of lines, and
     with decimal points or commas. A line without any number is a comment. A gap is a
-    blank, NaN or infinite coordinate, a residual below zero (C3D), and a position at
-    exactly 0, 0, 0.
+    blank, NaN or infinite coordinate, a residual (C3D) or likelihood below zero, and a
+    position at exactly 0, 0, 0 or at nines.
 
-    C3D needs the library ezc3d, ``pip install "sklearn-koopman[c3d]"``. Only points are
-    read; angles, forces, moments and powers, which models store among them, are not.
+    C3D needs the library ezc3d, ``pip install ezc3d``, which the extra ``[c3d]`` of
+    this package brings. Only points are read; angles, forces, moments and powers,
+    which models store among them, are not.
 
     The tab-separated format has one line of column names,
     ``Time  NAMEX  NAMEY  NAMEZ ...``, and one line a frame. `Time` holds either the
@@ -161,8 +168,8 @@ def load_markers(
     """
     choices = Choices(markers, rate, unit, gaps, zeros, min_likelihood, individual)
     check_choices(choices)
-    where = os.fspath(path)
+    file, where = File.read(path), os.fsdecode(path)
     try:
-        return select_positions(read_recording(where), choices, where)
+        return select_positions(read_recording(file), choices, where)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error

@@ -9,6 +9,7 @@ import numpy as np
 from sklearn.utils import Bunch
 
 from .._utils._typing import Array
+from .._utils._validation import check_number
 from ._formats._recording import PIXELS, Marker, Recording
 from ._formats._text import Table
 from ._positions import Choices, check_choices, select_positions
@@ -50,7 +51,7 @@ def markers_from_movement(
     rate : float, default=None
         Frames per second. None takes the attribute `fps` of the dataset, or its time
         where that is in seconds. It must agree with a time in seconds within 1 %.
-    unit : {"mm", "cm", "m"}, default=None
+    unit : {"mm", "cm", "m", "px"}, default=None
         Unit of the coordinates. None takes planar ones as pixels, "px". Those in space
         come from a calibration, which the dataset does not tell, and need it.
     gaps : {"raise", "nan"}, default="raise"
@@ -60,7 +61,7 @@ def markers_from_movement(
         Whether a keypoint that stands at exactly 0, 0 is lost or is really there.
     min_likelihood : float, default=None
         The smallest confidence of a position that is kept; what is below is a gap. None
-        keeps all.
+        keeps all but those below zero.
     individual : str, default=None
         The person or animal to take, where the dataset holds several.
 
@@ -79,9 +80,14 @@ def markers_from_movement(
         `position`.
     ValueError
         If the dataset holds bounding boxes, or `position` has other dimensions or other
-        axes than x, y and z; if neither the dataset nor the call tells the rate or the
-        unit; and for the reasons of :func:`load_markers` that concern markers and time.
-        Frames are counted from 0 in the message.
+        axes than x, y and z; if `fps` is no positive number; if neither the dataset nor
+        the call tells the rate or the unit; and for the reasons of :func:`load_markers`
+        that concern markers and time. Frames are counted from 0 in the message.
+
+    Warns
+    -----
+    UserWarning
+        If `rate` differs from `fps` by more than 1 %, and time is not in seconds.
 
     See Also
     --------
@@ -177,11 +183,13 @@ def _read(dataset: Any) -> Recording:
     if has_time:
         values = np.column_stack([values, _time(coords["time"])])
     fps, time_unit = dataset.attrs.get("fps"), dataset.attrs.get("time_unit")
+    if fps is not None:
+        check_number(fps, "the attribute fps", positive=True)
     n_columns = values.shape[1]
     return Recording(
         table=Table(values, ["time"] * n_columns, range(n_frames), {}, "frame"),
         markers=markers,
-        rate=float(fps) if fps else None,
+        rate=None if fps is None else float(fps),
         rate_name="fps",
         unit=PIXELS if n_axes == 2 else None,
         stamps=n_columns - 1 if has_time else None,

@@ -1,5 +1,6 @@
 """From a recording, as its file holds it, to the markers that a user asks for."""
 
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from difflib import get_close_matches
@@ -9,13 +10,15 @@ import numpy as np
 from sklearn.utils import Bunch
 
 from .._utils._typing import Array, Mask
-from .._utils._validation import check_choice, check_number
+from .._utils._validation import check_choice, check_names, check_number
 from ._clock import read_clock
-from ._formats._recording import PREFIX_END, Marker, Recording
+from ._formats._recording import PIXELS, PREFIX_END, Marker, Recording
 from ._units import IN_MM, check_size, spell
 
 FRAMES_TO_MEASURE = 200
 MAX_NAMED = 5  # markers with gaps in a message
+# What programs write for each coordinate of a marker that is lost.
+LOST = (0.0, *(10.0**n - 1 for n in range(4, 16)))
 
 
 class Choices(NamedTuple):
@@ -34,14 +37,18 @@ def check_choices(choices: Choices) -> None:
     """Refuse choices that suit no file."""
     if choices.rate is not None:
         check_number(choices.rate, "rate", positive=True)
-    check_choice(choices.unit, "unit", (None, *IN_MM))
+    check_choice(choices.unit, "unit", (None, *IN_MM, PIXELS))
     check_choice(choices.gaps, "gaps", ("raise", "nan"))
     check_choice(choices.zeros, "zeros", ("gap", "keep"))
     if choices.min_likelihood is not None:
         check_number(choices.min_likelihood, "min_likelihood")
-    names = choices.markers
-    if names is not None and (isinstance(names, str) or len(names) == 0):
-        raise ValueError(f"markers={names!r}; pass a list of names, or None.")
+    check_names(choices.markers, "markers")
+    individual = choices.individual
+    if individual is not None and not isinstance(individual, str):
+        raise ValueError(
+            f"individual={individual!r}; pass one name, or None and markers with full "
+            "names, such as markers=['a:Hip', 'b:Hip']."
+        )
 
 
 def select_positions(recording: Recording, choices: Choices, where: str) -> Bunch:
@@ -49,12 +56,17 @@ def select_positions(recording: Recording, choices: Choices, where: str) -> Bunc
     table = recording.table
     chosen = _select(recording.markers, choices.markers, choices.individual)
     unit = choices.unit or (spell(recording.unit) if recording.unit else None)
+    if unit == PIXELS != recording.unit:
+        raise ValueError(
+            "unit='px', but only poses in a video are in pixels; pass the unit of "
+            "length of the file."
+        )
     positions = {n: _positions(recording, m, choices) for n, m in chosen.items()}
     time, rate = read_clock(recording, choices.rate)
     if np.isnan(rate) or unit is None:
         _refuse_unsaid(rate, unit)
     if choices.gaps == "raise":
-        _refuse_gaps(recording, chosen, positions)
+        _refuse_gaps(recording, chosen, choices)
     if choices.unit is None:
         check_size(unit, _body(recording, choices))
     likelihood = {
@@ -118,12 +130,11 @@ def _select(
     bare = [marker.name for marker in markers]
     if not markers:
         raise ValueError("the file holds no positions of markers; export them, too.")
-    if names is None:
-        names = bare
     chosen = {}
-    for name in names:
+    for name in bare if names is None else names:
         places = [i for i, label in enumerate(full) if label == name]
-        places = places or [i for i, label in enumerate(bare) if label == name]
+        if names is None or not places:
+            places = [i for i, label in enumerate(bare) if label == name]
         if not places:
             close = get_close_matches(str(name), bare, n=4, cutoff=0.5)
             hint = f"did you mean one of {close}? " * bool(close)
@@ -148,21 +159,29 @@ def _positions(recording: Recording, marker: Marker, choices: Choices) -> Array:
     values = recording.table.read(marker.columns)
     is_lost = ~np.isfinite(values)
     if choices.zeros == "gap":
-        is_lost |= _at_origin(values)[:, np.newaxis]
-    if choices.min_likelihood is not None:
-        if marker.likelihood is None:
-            raise ValueError(
-                f"min_likelihood={choices.min_likelihood}, but the file holds no "
-                f"likelihood of {marker.name!r}; leave min_likelihood out."
-            )
-        likelihood = recording.table.read([marker.likelihood])
-        is_lost |= ~(likelihood >= choices.min_likelihood)
+        is_lost |= _is_sentinel(values)[:, np.newaxis]
+    is_lost |= _is_unlikely(recording, marker, choices)[:, np.newaxis]
     return np.where(is_lost, np.nan, values)
 
 
-def _at_origin(values: Array) -> Mask:
-    """Return where a marker stands at exactly 0, 0, 0, as some programs write gaps."""
-    return (values == 0).all(axis=1)
+def _is_sentinel(values: Array) -> Mask:
+    """Return where all coordinates are one number that stands for a lost marker."""
+    first = values[:, :1]
+    return (np.isin(np.abs(first), LOST) & (values == first)).all(axis=1)
+
+
+def _is_unlikely(recording: Recording, marker: Marker, choices: Choices) -> Mask:
+    """Return where the likelihood is too small; below zero it always is."""
+    smallest = choices.min_likelihood
+    if marker.likelihood is None:
+        if smallest is not None:
+            raise ValueError(
+                f"min_likelihood={smallest}, but the file holds no likelihood of "
+                f"{marker.name!r}; leave min_likelihood out."
+            )
+        return np.zeros(len(recording.table), dtype=bool)
+    likelihood = recording.table.read([marker.likelihood])[:, 0]
+    return likelihood < 0 if smallest is None else ~(likelihood >= smallest)
 
 
 def _body(recording: Recording, choices: Choices) -> Array:
@@ -176,30 +195,43 @@ def _body(recording: Recording, choices: Choices) -> Array:
 
 
 def _refuse_gaps(
-    recording: Recording, chosen: dict[str, Marker], positions: dict[str, Array]
+    recording: Recording, chosen: dict[str, Marker], choices: Choices
 ) -> None:
     """Refuse gaps, all of them at once."""
     table = recording.table
-    gaps, n_zeros = [], 0
-    for name, values in positions.items():
-        is_lost = np.isnan(values).any(axis=1)
-        if is_lost.any():
-            lost = np.flatnonzero(is_lost)
+    gaps, n_unlikely = [], 0
+    sentinels: Counter[str] = Counter()
+    for name, marker in chosen.items():
+        is_lost = np.isnan(_positions(recording, marker, choices)).any(axis=1)
+        lost = np.flatnonzero(is_lost)
+        if len(lost):
             gaps.append(
                 f"{name!r} in {len(lost)} frames, first in {table.place(lost[0])}"
             )
-            raw = table.read(chosen[name].columns)
-            n_zeros += int((_at_origin(raw) & is_lost).sum())
+            raw = table.read(marker.columns)[lost]
+            n_unlikely += int(_is_unlikely(recording, marker, choices)[lost].sum())
+            if choices.zeros == "gap":
+                sentinels.update(
+                    ", ".join(f"{x:.16g}" for x in row)
+                    for row in raw[_is_sentinel(raw)]
+                )
+    if not gaps:
+        return
     if len(gaps) > MAX_NAMED:
         gaps[MAX_NAMED:] = [f"{len(gaps) - MAX_NAMED} more"]
-    if gaps:
-        remark = (
-            f"{n_zeros} of them stand at exactly 0, 0, 0; zeros='keep' says that they "
-            "are no gaps. "
+    remarks = [
+        f"{count} of them stand at exactly {place}; zeros='keep' says that they are no "
+        "gaps. "
+        for place, count in sentinels.most_common(1)
+    ]
+    if n_unlikely:
+        remarks.append(
+            f"{n_unlikely} of them have a likelihood below "
+            f"{choices.min_likelihood or 0:g}, or none. "
         )
-        raise ValueError(
-            f"of {len(table)} frames, coordinates are missing for {'; '.join(gaps)}. "
-            f"{remark if n_zeros else ''}Fill short gaps: pass gaps='nan', and the "
-            "markers to kinematics.fill_gaps; or cut the file there, or leave these "
-            "markers out."
-        )
+    raise ValueError(
+        f"of {len(table)} frames, coordinates are missing for {'; '.join(gaps)}. "
+        f"{''.join(remarks)}Pass gaps='nan'; then fill short gaps by "
+        "kinematics.fill_gaps, and cut at others by trajectory_pairs(gaps='split'). Or "
+        "leave these markers out."
+    )

@@ -58,7 +58,7 @@ def fill_gaps(recording: Any, *, max_gap: int) -> tuple[Any, Indices]:
 
     See Also
     --------
-    leg_angles : Joint angles from markers without gaps.
+    leg_angles : Joint angles from markers; NaN in the gaps.
     unwrap_angles : Angles without jumps, also across gaps.
     sklearn_koopman.datasets.load_markers : Reads markers, with ``gaps="nan"`` those
         that have gaps.

@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._utils._typing import Array
+from .._utils._typing import Array, Mask
 from .._utils._validation import as_floats
 from .._utils._warnings import warn
 
 # No knee bends farther for long; with two markers swapped, a leg that is bent by less
 # than a right angle seems to.
 MAX_KNEE_FLEXION = 135.0
+# Seen from the side, most of a leg is in the plane, also of one that is spread.
+MIN_IN_PLANE = 0.7
 # An ankle above the hip by more than this part of the leg is upside down: one that
 # lies, even on a cushion, is not, and one that cycles or runs is most of the time.
 MIN_HEADSTAND = 0.5
@@ -37,7 +39,8 @@ def leg_angles(
     Parameters
     ----------
     hip : array-like of shape (n_frames, 3) or (n_frames, 2)
-        Positions of the hip marker, such as the greater trochanter.
+        Positions of the hip marker, such as the greater trochanter. NaN where it is
+        lost.
     knee : array-like of shape (n_frames, 3) or (n_frames, 2)
         Positions of the knee marker, in the same frames, axes and unit.
     ankle : array-like of shape (n_frames, 3) or (n_frames, 2)
@@ -63,15 +66,17 @@ def leg_angles(
           positive with the knee in front of the hip.
         * Knee flexion is the angle of the thigh less the angle of the shank: 0 for a
           straight leg, positive with the heel drawn towards the buttock.
+
+        Both are NaN in frames in which a marker holds NaN.
     ankle : ndarray of shape (n_frames, 2)
         Ankle minus hip along `forward` and `up`, in the unit of the markers, or as a
-        fraction of the length of the leg if `normalize` is set.
+        fraction of the length of the leg if `normalize` is set. NaN in the same frames.
 
     Raises
     ------
     ValueError
-        If the markers differ in shape, or have another one; if one holds NaN or
-        infinity, or is masked; if a segment has no length in the sagittal plane; if
+        If the markers differ in shape, or have another one; if one holds infinity or
+        is masked; if NaN leaves no frame; if a segment has no length in the plane; if
         thigh and shank differ more than tenfold in length, as they do when units are
         mixed; if `forward` or `up` is no direction, or they are not orthogonal.
 
@@ -82,15 +87,17 @@ def leg_angles(
         above its hip by more than half of the length of the leg, as with `up` pointing
         down, or hip and ankle swapped. If in more than half of the frames the knee is
         bent by more than 135 degrees, either way, as with any other two markers
-        swapped. A leg that lies on a bench does not warn, so that a horizontal `up` is
-        not found out.
+        swapped. If in more than half of the frames less than 0.7 of the length of the
+        leg lies in the plane, as with the wrong axes. A leg that lies on a bench does
+        not warn, so that a horizontal `up` in the plane is not found out.
 
     See Also
     --------
     fill_gaps : Fills short gaps in the markers.
     leg_length : The length that `normalize` divides by.
     sklearn_koopman.datasets.load_markers : Reads markers from a file.
-    sklearn_koopman.trajectories.trajectory_pairs : Pairs angles and ankle positions.
+    sklearn_koopman.trajectories.trajectory_pairs : Pairs angles and ankle positions;
+        with ``gaps="split"`` it cuts them at NaN.
 
     Notes
     -----
@@ -137,7 +144,7 @@ def leg_angles(
     >>> ankle
     array([[ 200. , -746.4]])
     """
-    positions = _check_markers(hip=hip, knee=knee, ankle=ankle)
+    positions, seen = _check_markers(hip=hip, knee=knee, ankle=ankle)
     n_axes = positions.shape[-1]
     axes = np.column_stack(
         [_direction(forward, "forward", n_axes), _direction(up, "up", n_axes)]
@@ -149,7 +156,8 @@ def leg_angles(
         )
     segments = np.diff(positions, axis=0)
     planar = segments @ axes
-    length = _check_segments(segments, planar, "in the plane of forward and up ")
+    length = _check_segments(segments, planar, seen, "in the plane of forward and up ")
+    _warn_of_plane(positions, planar, forward, up)
     # In a complex plane whose real axis points straight down.
     thigh, shank = -planar[..., 1] + 1j * planar[..., 0]
     # The sum turns -0.0 into 0.0: a shank folded onto the thigh is at pi, not -pi.
@@ -157,7 +165,9 @@ def leg_angles(
     angles = np.column_stack([np.angle(thigh), np.angle(bend)])
     reach = (positions[2] - positions[0]) @ axes
     _warn_of_headstand(angles, reach / length, axes[:, 1], up)
-    return angles, reach / length if normalize else reach
+    if normalize:
+        reach = reach / length
+    return _spread(angles, seen), _spread(reach, seen)
 
 
 def leg_length(hip: ArrayLike, knee: ArrayLike, ankle: ArrayLike) -> float:
@@ -180,14 +190,15 @@ def leg_length(hip: ArrayLike, knee: ArrayLike, ankle: ArrayLike) -> float:
     -------
     length : float
         Mean distance of knee and hip, plus mean distance of ankle and knee, over all
-        frames, in the unit of the markers.
+        frames without NaN, in the unit of the markers.
 
     Raises
     ------
     ValueError
-        If the markers differ in shape, or have another one; if one holds NaN or
-        infinity, or is masked; if a segment has no length in some frame; if thigh and
-        shank differ more than tenfold in length, as they do when units are mixed.
+        If the markers differ in shape, or have another one; if one holds infinity or
+        is masked; if NaN leaves no frame; if a segment has no length in some frame; if
+        thigh and shank differ more than tenfold in length, as they do when units are
+        mixed.
 
     See Also
     --------
@@ -205,12 +216,21 @@ def leg_length(hip: ArrayLike, knee: ArrayLike, ankle: ArrayLike) -> float:
     >>> ankle * leg_length(**leg)
     array([[ 240., -720.]])
     """
-    segments = np.diff(_check_markers(hip=hip, knee=knee, ankle=ankle), axis=0)
-    return _check_segments(segments, segments)
+    positions, seen = _check_markers(hip=hip, knee=knee, ankle=ankle)
+    segments = np.diff(positions, axis=0)
+    return _check_segments(segments, segments, seen)
 
 
-def _check_markers(**markers: Any) -> Array:
-    """Validate markers into a finite array of shape (3, n_frames, 2 or 3)."""
+def _check_markers(**markers: Any) -> tuple[Array, Mask]:
+    """Validate markers.
+
+    Returns
+    -------
+    positions : ndarray of shape (3, n_seen, 2 or 3)
+        The markers in the frames in which none of them holds NaN; all are finite.
+    seen : ndarray of shape (n_frames,)
+        Whether a frame is one of them.
+    """
     positions = {name: as_floats(marker, name) for name, marker in markers.items()}
     shapes = {name: position.shape for name, position in positions.items()}
     shape = shapes["hip"]
@@ -220,14 +240,31 @@ def _check_markers(**markers: Any) -> Array:
             "(n_frames, 3) or (n_frames, 2), one row of coordinates for each frame."
         )
     for name, position in positions.items():
-        gaps = np.flatnonzero(~np.isfinite(position).all(axis=1))
-        if len(gaps):
+        is_bad = np.isinf(position) | np.ma.getmaskarray(np.ma.asarray(markers[name]))
+        bad = np.flatnonzero(is_bad.any(axis=1))
+        if len(bad):
             raise ValueError(
-                f"{name} holds NaN or infinity (or is masked) in {len(gaps)} of "
-                f"{shape[0]} frames, first in frame {gaps[0]}; fill short gaps by "
-                "kinematics.fill_gaps, or cut the recording there."
+                f"{name} holds infinity or is masked in {len(bad)} of {shape[0]} "
+                f"frames, first in frame {bad[0]}; write NaN there, or fill short gaps "
+                "by kinematics.fill_gaps."
             )
-    return np.array([*positions.values()])
+    stacked = np.array([*positions.values()])
+    lost = np.isnan(stacked).any(axis=2)
+    seen = ~lost.any(axis=0)
+    if not seen.any():
+        counts = dict(zip(positions, lost.sum(axis=1).tolist(), strict=True))
+        raise ValueError(
+            f"no frame of {shape[0]} shows all markers: NaN in {counts} frames; pass "
+            "markers that are seen together."
+        )
+    return stacked[:, seen], seen
+
+
+def _spread(values: Array, seen: Mask) -> Array:
+    """Return values of the frames that are seen, and NaN in the others."""
+    spread = np.full((len(seen), *values.shape[1:]), np.nan)
+    spread[seen] = values
+    return spread
 
 
 def _direction(value: Any, name: str, n_axes: int) -> Array:
@@ -246,7 +283,9 @@ def _direction(value: Any, name: str, n_axes: int) -> Array:
     return np.asarray(vector / length)
 
 
-def _check_segments(segments: Array, planar: Array, where: str = "") -> float:
+def _check_segments(
+    segments: Array, planar: Array, seen: Mask, where: str = ""
+) -> float:
     """Return the mean lengths of thigh and shank, added; refuse implausible ones."""
     lengths = np.linalg.norm(segments, axis=-1).mean(axis=-1)
     is_flat = np.linalg.norm(planar, axis=-1) <= 1e-9 * lengths[:, np.newaxis]
@@ -254,7 +293,8 @@ def _check_segments(segments: Array, planar: Array, where: str = "") -> float:
         name = ("thigh", "shank")[segment]
         checks = "the markers, forward and up" if where else "the markers"
         raise ValueError(
-            f"the {name} has no length {where}in frame {frame}; check {checks}."
+            f"the {name} has no length {where}in frame {np.flatnonzero(seen)[frame]}; "
+            f"check {checks}."
         )
     if lengths.max() > 10 * lengths.min():
         raise ValueError(
@@ -262,6 +302,27 @@ def _check_segments(segments: Array, planar: Array, where: str = "") -> float:
             f"{lengths[1]:.4g}; pass all three markers in the same unit."
         )
     return float(lengths.sum())
+
+
+def _warn_of_plane(positions: Array, planar: Array, forward: Any, up: Any) -> None:
+    """Warn if most of the leg lies outside of the plane of forward and up."""
+    segments = np.diff(positions, axis=0)
+    in_plane, whole = (
+        np.linalg.norm(x, axis=2).sum(axis=0) for x in (planar, segments)
+    )
+    part = float(np.median(in_plane / whole))
+    if part < MIN_IN_PLANE:
+        drop = (positions[0] - positions[2]).mean(axis=0)
+        axis = int(np.abs(drop).argmax())
+        upward = str(axis)
+        if drop[axis] < 0:
+            upward = str((-np.eye(len(drop), dtype=int)[axis]).tolist())
+        warn(
+            f"{1 - part:.0%} of the length of the leg lie outside of the plane of "
+            f"forward={forward!r} and up={up!r}, as with the wrong axes. The hip is "
+            f"above the ankle along axis {axis}: pass up={upward}, and forward "
+            "accordingly."
+        )
 
 
 def _warn_of_headstand(angles: Array, reach: Array, axis: Array, up: Any) -> None:

@@ -17,6 +17,7 @@ from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 from .._utils._typing import Array, Indices, Mask
 from .._utils._validation import check_choice, check_flag
 from .._utils._warnings import warn
+from .._utils._wraps import find_degrees
 
 TURNS = {"radians": 2 * np.pi, "degrees": 360.0}
 # Files round quaternions, some to two digits. Other columns taken for one are farther
@@ -24,8 +25,6 @@ TURNS = {"radians": 2 * np.pi, "degrees": 360.0}
 LENGTH_TOLERANCE = 0.01
 # Below this the rounding of predictions decides which rotation is nearest.
 MIN_DISTINCTNESS = 1e-8
-# A joint that turns farther than this, in radians, has its angles in degrees.
-MAX_TURN = 4 * np.pi
 ENTRIES = [f"r{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)]
 
 
@@ -111,6 +110,9 @@ class RotationEncoder(TransformerMixin, BaseEstimator):
 
     `TransformedTargetRegressor` turns a DataFrame of outputs into an array before it
     calls the transformer. Give columns by their numbers then, and not by names.
+
+    States with delays hold copies of the recording side by side. Name the columns of
+    each: ``quaternions=list(range(12))`` for three copies of one quaternion.
 
     :func:`~sklearn_koopman.trajectories.trajectory_pairs` warns of angles that wrap.
     Encode recordings before they are paired, and transform predictions back by
@@ -471,6 +473,11 @@ def _find_numbers(
         raise ValueError(f"{name}={given!r} must be a list of columns; put it into [].")
     numbers = []
     for column in given:
+        if isinstance(column, list | tuple | np.ndarray):
+            raise ValueError(
+                f"{name}={given!r} holds the list {column!r}; name all columns in one "
+                "list, one after another."
+            )
         is_number = isinstance(column, Integral) and not isinstance(column, bool)
         if is_number and 0 <= column < n_features:
             numbers.append(int(column))
@@ -506,10 +513,10 @@ def _check_quaternions(values: Array, columns: Indices) -> None:
 
 def _warn_of_degrees(angles: Array) -> None:
     """Warn if angles that are said to be in radians are too large for a joint."""
-    largest = np.max(np.abs(angles), initial=0.0, where=~np.isnan(angles))
-    if largest > MAX_TURN:
+    found = find_degrees(angles)
+    if found:
         warn(
-            f"angles of X reach {largest:.4g} radians. If they are in degrees, pass "
+            f"angles of X reach {found[1]:.4g} radians. If they are in degrees, pass "
             "unit='degrees'; if they count many turns, pass X % (2 * numpy.pi), which "
             "is encoded as the same."
         )
@@ -548,9 +555,10 @@ def _nearest_angles(cosines: Array, sines: Array, middles: Array) -> tuple[Array
     """
     is_lost = np.hypot(cosines, sines) < MIN_DISTINCTNESS
     # Half a turn is exact, so that both ends of a turn remain what they were. A sine
-    # of zero is at the end that is nearer to 0: the sum turns -0.0 into 0.0.
+    # of zero is at the end that is nearer to 0: the sums turn -0.0 into 0.0.
     side = np.where(middles % 2 == 1, -1.0, 1.0)
-    sines = np.where(middles < 0, side * sines + 0.0, side * sines)
+    sines = side * (sines + 0.0)
+    sines = np.where(middles < 0, sines + 0.0, sines)
     angles = np.pi * middles + np.arctan2(sines, side * cosines)
     return np.where(is_lost, np.nan, angles), is_lost
 

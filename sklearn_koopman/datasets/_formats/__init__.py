@@ -1,7 +1,5 @@
 """The formats of files, each in a module of its own, and their registry."""
 
-from pathlib import Path
-
 from ._c3d import C3D
 from ._deeplabcut import DEEPLABCUT
 from ._foreign import describe
@@ -17,9 +15,8 @@ from ._visual3d import VISUAL3D
 FORMATS = (C3D, TRC, QUALISYS, VICON, DEEPLABCUT, VISUAL3D, TABBED)
 
 
-def read_recording(path: str) -> Recording:
+def read_recording(file: File) -> Recording:
     """Read the markers of a file of any of the formats."""
-    file = File(Path(path), Path(path).read_bytes())
     for form in FORMATS:
         if form.recognize(file):
             return form.read(file)

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from ._c3d_layout import MAGIC, check_layout
-from ._recording import Format, Marker, Recording, split_prefix
+from ._c3d_layout import MAGIC, count_frames
+from ._recording import Format, Marker, Recording
 from ._text import File, Table
 
 MAX_BLOCK = 8  # in which the parameters begin; mostly 2
@@ -24,10 +24,10 @@ def _read(file: File) -> Recording:
         import ezc3d
     except ImportError as error:
         raise ImportError(
-            f"{file.path}: C3D files are read by ezc3d; install it by "
-            "pip install 'sklearn-koopman[c3d]'."
+            f"{file.path}: C3D files are read by ezc3d; install it by pip install "
+            "ezc3d, or with this package by pip install 'sklearn-koopman[c3d]'."
         ) from error
-    check_layout(file.data)
+    n_frames = count_frames(file.data)
     try:
         content = ezc3d.c3d(str(file.path))
     except Exception as error:  # ezc3d raises many kinds
@@ -36,7 +36,9 @@ def _read(file: File) -> Recording:
         ) from error
     section = content["parameters"]["POINT"]
     # ezc3d returns NaN where the residual of a point is below 0.
-    positions = np.moveaxis(content["data"]["points"][:3], 0, 2)  # points, frames, axes
+    # It reads the zeros that fill the last block as frames if there are 65,535.
+    points = content["data"]["points"][:3, :, :n_frames]
+    positions = np.moveaxis(points, 0, 2)  # points, frames, axes
     n_points, n_frames = positions.shape[:2]
     if n_points and not n_frames:
         raise ValueError("the file has a head, but no frames; export it again.")
@@ -45,8 +47,7 @@ def _read(file: File) -> Recording:
     for i, label in enumerate(_texts(section, "LABELS")[:n_points]):
         labels += [f"{label} {axis}" for axis in "XYZ"]
         if label and label not in no_points:
-            individual, name = split_prefix(label)
-            markers.append(Marker(name, range(3 * i, 3 * i + 3), individual))
+            markers.append(Marker.from_label(label, range(3 * i, 3 * i + 3)))
     header = content["header"]["points"]
     frames = header["first_frame"] + np.arange(n_frames)  # from 0
     rate = float(header["frame_rate"])

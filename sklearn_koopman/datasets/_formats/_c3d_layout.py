@@ -22,6 +22,7 @@ ROTATION_BYTES = 68  # a matrix of 4 by 4 numbers and its residual
 # ezc3d relies on these bounds,
 MAX_DIMENSIONS, MAX_VALUES, MAX_DESCRIPTION = 7, 65_535, 127
 MAX_RATIO = 1000  # of the rates of channels and frames
+MAX_FRAMES = 65_535
 # and on a value of each of these,
 FILLED = {
     *("POINT:USED", "POINT:SCALE", "POINT:RATE", "POINT:FRAMES", "POINT:DATA_START"),
@@ -34,13 +35,13 @@ SHADOW = "SHADOW"
 NONE = np.array([])
 
 
-def check_layout(data: bytes) -> None:
-    """Refuse a file that was cut, or whose parameters are damaged.
+def count_frames(data: bytes) -> int:
+    """Return the number of frames; refuse a file that was cut or is damaged.
 
     ezc3d would crash, never return or take all memory, or read some of the frames.
     """
     try:
-        n_bytes = _count_bytes(data, _read_parameters(data))
+        n_bytes, n_frames, frame_bytes = _measure(data, _read_parameters(data))
     except (struct.error, IndexError, KeyError) as error:
         raise ValueError(
             "the file is no C3D, or its parameters are damaged; export it again."
@@ -50,6 +51,15 @@ def check_layout(data: bytes) -> None:
             f"the file was cut: its frames end at byte {n_bytes:.0f}, and the file at "
             f"byte {len(data)}; copy or export it again."
         )
+    rest = data[BLOCK * math.ceil(n_bytes / BLOCK) :]
+    n_more = len(rest) // frame_bytes if rest.strip(b"\0") else 0
+    if n_frames + n_more > MAX_FRAMES:
+        raise ValueError(
+            f"the head counts {n_frames:.0f} frames, and {n_more:.0f} more follow: C3D "
+            f"counts to {MAX_FRAMES}, and ezc3d reads no more; export the file in "
+            "parts, or in another format."
+        )
+    return int(n_frames)
 
 
 def _read_parameters(data: bytes) -> dict[str, Array]:
@@ -120,21 +130,22 @@ def _check_description(content: bytes) -> None:
         raise IndexError(content[0])
 
 
-def _count_bytes(data: bytes, parameters: dict[str, Array]) -> float:
-    """Return where the frames end."""
+def _measure(data: bytes, parameters: dict[str, Array]) -> tuple[float, float, float]:
+    """Return where the frames end, their number, and the bytes of points of each."""
     first, last = struct.unpack_from("<HH", data, 6)
     (block,) = struct.unpack_from("<H", data, 16)
     n_frames = parameters["POINT:FRAMES"][0] or last - first + 1
     n_channels = _count_samples(parameters, "ANALOG")
     n_values = 4 * parameters["POINT:USED"][0] + n_channels
     width = 4 if parameters["POINT:SCALE"][0] < 0 else 2
+    frame_bytes = max(n_values * width, 1)
     ends = [BLOCK * (block - 1) + n_frames * n_values * width]
     if n_rotations := _count_samples(parameters, "ROTATION"):
         block = parameters["ROTATION:DATA_START"][0]
         ends.append(BLOCK * (block - 1) + n_frames * n_rotations * ROTATION_BYTES)
     if not all(map(math.isfinite, ends)):
         raise IndexError(ends)
-    return max(ends)
+    return max(ends), n_frames, frame_bytes
 
 
 def _count_samples(parameters: dict[str, Array], group: str) -> float:

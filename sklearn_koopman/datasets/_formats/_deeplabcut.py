@@ -3,21 +3,21 @@
 from collections.abc import Sequence
 
 from ._recording import PIXELS, Format, Marker, Recording
-from ._text import File, drop_end, find_delimiter, number_lines, read_table, split
+from ._text import File, find_delimiter, number_lines, read_table, split
 
 AXES = ("x", "y", "z")
 HEAD = ("scorer", "individuals", "bodyparts", "coords")
 
 
 def _is_deeplabcut(file: File) -> bool:
-    return file.first_line.startswith("scorer") and len(file.lines) > 2
+    return file.first_line.lstrip('"').startswith("scorer") and len(file.lines) > 2
 
 
 def _read(file: File) -> Recording:
     delimiter = find_delimiter(file.lines[0])
     head: dict[str, list[str]] = {}
     for line in file.lines:
-        key, *fields = drop_end(split(line, delimiter)) or [""]
+        key, *fields = split(line, delimiter)
         if key not in HEAD or key in head:
             break
         head[key] = fields
@@ -36,13 +36,15 @@ def _read(file: File) -> Recording:
                 f"line {number}: found {split(line, delimiter)[0]!r}, expected the "
                 "number of a frame; labels of single pictures are no recording."
             )
-    keys = list(zip(individuals, names, strict=True))
     labels = ["frame", *(f"{n} {c}" for n, c in zip(names, coordinates, strict=True))]
+    parts: dict[tuple[str, str], list[int]] = {}
+    for place, part in enumerate(zip(individuals, names, strict=True)):
+        parts.setdefault(part, []).append(place)
     markers = []
-    for individual, name in dict.fromkeys(keys):
-        places = [i for i, key in enumerate(keys) if key == (individual, name)]
+    for (individual, name), places in parts.items():
         axes = [coordinates[i] for i in places]
-        markers.append(_marker(individual, name, axes, places))
+        if {"x", "y"} & {*axes}:  # Lightning Pose marks sets of frames, too
+            markers.append(_marker(individual, name, axes, places))
     table = read_table(rows, labels, delimiter)
     is_planar = all(len(marker.columns) == 2 for marker in markers)
     return Recording(

@@ -14,14 +14,12 @@ ZIP = b"PK\x03\x04"
 NUMPY = b"\x93NUMPY"
 MATLAB = b"MATLAB 5.0 MAT-file"
 TEXT_TO_LOOK_AT = 20_000
+BLANKS = r"\s+"
 
 MOVEMENT = """
     from movement.io import load_dataset  # pip install movement
-    dataset = load_dataset(file, source_software={software!r}, fps=100)
+    dataset = load_dataset({file}, source_software={software!r})
     trial = markers_from_movement(dataset)"""
-COLUMNS = """
-    states = table.iloc[:, 1:].to_numpy()  # the columns of the state, a row a frame
-    pairs = trajectory_pairs([states])"""
 POSITIONS = """
     pairs = trajectory_pairs([recording.reshape(len(recording), -1)])"""
 EXPORT = """
@@ -29,12 +27,16 @@ EXPORT = """
     trial = load_markers(file)"""
 
 
+# Names of columns that hold no state, but the number or the time of a frame.
+CLOCK = re.compile(r"time.*|frame.*|index|sample|t|#|", re.IGNORECASE)
+
+
 class Foreign(NamedTuple):
     """A format of files that is not read here."""
 
     name: str
     recognize: Callable[[File], bool]
-    remedy: str
+    remedy: str | Callable[[File], str]
 
 
 def _begins(*starts: str) -> Callable[[File], bool]:
@@ -54,7 +56,7 @@ def _look(file: File) -> str:
 
 
 def _is_storage(file: File) -> bool:
-    return re.search(r"^\s*endheader", _look(file), re.MULTILINE) is not None
+    return re.search(r"^[ \t]*endheader", _look(file), re.MULTILINE) is not None
 
 
 def _is_table(file: File) -> bool:
@@ -64,7 +66,33 @@ def _is_table(file: File) -> bool:
         return False
     delimiter = find_delimiter(lines[0])
     names, numbers = (split(line, delimiter) for line in lines[:2])
-    return len(names) == len(numbers) > 1 and any(map(is_number, filter(None, numbers)))
+    named = [name for name in names if name]
+    has_names = len(named) > 1 and not any(map(is_number, named))
+    has_numbers = any(map(is_number, filter(None, numbers)))
+    return has_names and has_numbers and len(names) == len(numbers)
+
+
+def _read_table(file: File) -> str:
+    """Return the lines that read the columns of a table, but for the clock."""
+    head, first = [line for line in file.lines if line.strip()][:2]
+    delimiter = find_delimiter(head)
+    names, fields = split(head, delimiter), split(first, delimiter)
+    places = [
+        i
+        for i, (name, field) in enumerate(zip(names, fields, strict=True))
+        if not CLOCK.fullmatch(name) and is_number(field)
+    ] or range(len(names))
+    chosen = [names[i] for i in places]
+    # pandas keeps blanks around names, and renames those that occur twice.
+    raw = [name.strip('"') for name in head.split(delimiter)]
+    is_plain = raw == names and len({*names}) == len(names)
+    columns = f"[{chosen}]" if is_plain else f".iloc[:, {[*places]}]"
+    has_commas = delimiter != "," and "," in first and "." not in first
+    options = ', decimal=","' * has_commas
+    return f"""
+    table = pandas.read_csv(file, sep={delimiter or BLANKS!r}{options})
+    states = table{columns}.to_numpy()  # a row a frame
+    pairs = trajectory_pairs([states])"""
 
 
 # The more particular ones first.
@@ -94,12 +122,24 @@ FOREIGN = (
             file.suffix == ".slp"
             or (file.data.startswith(HDF5) and b"track_names" in file.data)
         ),
-        MOVEMENT.format(software="SLEAP"),
+        MOVEMENT.format(file="file", software="SLEAP"),
+    ),
+    Foreign(
+        "a table of SLEAP",
+        _begins("track,frame_idx"),
+        """
+    # take the .slp that it comes from, or its analysis in HDF5"""
+        + MOVEMENT.format(file='"predictions.slp"', software="SLEAP"),
+    ),
+    Foreign(
+        "poses of Anipose",
+        lambda file: "_ncams" in file.first_line and "fnum" in file.first_line,
+        MOVEMENT.format(file="file", software="Anipose"),
     ),
     Foreign(
         "HDF5, as DeepLabCut writes it",
         _begins_bytes(HDF5),
-        MOVEMENT.format(software="DeepLabCut"),
+        MOVEMENT.format(file="file", software="DeepLabCut"),
     ),
     Foreign(
         "arrays of MATLAB",
@@ -115,16 +155,21 @@ FOREIGN = (
             file.suffix in (".xlsx", ".xls", ".ods") or file.data.startswith(ZIP)
         ),
         """
-    table = pandas.read_excel(file)"""
-        + COLUMNS,
+    table = pandas.read_excel(file)
+    names = [name for name in table if str(name).lower() not in ("time", "frame")]
+    states = table[names].to_numpy()  # a row a frame
+    pairs = trajectory_pairs([states])""",
     ),
     Foreign(
         "BVH, a skeleton and its joint angles",
         _begins("HIERARCHY"),
         """
-    text = pathlib.Path(file).read_text().split("Frame Time:")[1]
-    angles = numpy.loadtxt(text.splitlines()[1:])  # degrees, in the order of CHANNELS
-    pairs = trajectory_pairs([numpy.unwrap(angles, period=360, axis=0)])""",
+    head, motion = pathlib.Path(file).read_text().split("Frame Time:")
+    channels = [x[1:] for x in head.split() if x[1:] in ("position", "rotation")]
+    seconds, *lines = motion.strip().splitlines()
+    values = numpy.loadtxt(lines, ndmin=2)[:, numpy.array(channels) == "rotation"]
+    angles = numpy.unwrap(values, period=360, axis=0)  # degrees, as in CHANNELS
+    pairs = trajectory_pairs([angles], rates=1 / float(seconds))""",
     ),
     Foreign("the angles of a skeleton, AMC", _ends(".amc", ".asf"), EXPORT),
     Foreign("a take of MVN", _ends(".mvnx", ".mvn"), EXPORT),
@@ -143,17 +188,15 @@ FOREIGN = (
         """
     files = sorted(pathlib.Path(file).parent.glob("*.json"))  # one a frame
     people = [json.loads(name.read_text())["people"] for name in files]
-    recording = numpy.array([p[0]["pose_keypoints_2d"] for p in people])
-    recording = recording.reshape(len(files), -1, 3)[:, :, :2]"""
-        + POSITIONS,
+    poses = {i: p[0]["pose_keypoints_2d"] for i, p in enumerate(people) if p}
+    recording = numpy.full((len(files), max(map(len, poses.values()))), numpy.nan)
+    recording[[*poses]] = [*poses.values()]
+    recording = recording.reshape(len(files), -1, 3)[:, :, :2]  # choose key points
+    recording[(recording == 0).all(axis=2)] = numpy.nan  # those that are not seen
+    recording = recording.reshape(len(files), -1)
+    pairs = trajectory_pairs([recording], gaps="split")""",
     ),
-    Foreign(
-        "a table of columns with names",
-        _is_table,
-        """
-    table = pandas.read_csv(file, sep=None, engine="python")"""
-        + COLUMNS,
-    ),
+    Foreign("a table of columns with names", _is_table, _read_table),
 )
 
 
@@ -161,9 +204,9 @@ def describe(file: File) -> str:
     """Say what a file looks like, and how to bring it in."""
     for foreign in FOREIGN:
         if foreign.recognize(file):
-            return (
-                f"the file looks like {foreign.name}. Bring it in by:{foreign.remedy}"
-            )
+            remedy = foreign.remedy
+            lines = remedy if isinstance(remedy, str) else remedy(file)
+            return f"the file looks like {foreign.name}. Bring it in by:{lines}"
     if not file.data.strip():
         return "the file is empty; export it again."
     is_text = b"\0" not in file.data[:TEXT_TO_LOOK_AT]

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ._recording import Format, Marker, Recording, split_prefix, warn_of_count
+from ._recording import Format, Marker, Recording, warn_of_count
 from ._text import (
     File,
     Line,
@@ -14,67 +14,94 @@ from ._text import (
     to_rate,
 )
 
-KEYS = ("NO_OF_FRAMES", "NO_OF_CAMERAS", "NO_OF_MARKERS", "MARKER_NAMES")
+NAMES = "MARKER_NAMES"
+# One of these is among the first lines.
+KEYS = ("NO_OF_FRAMES", "NO_OF_CAMERAS", "NO_OF_MARKERS", NAMES)
+N_LINES_TO_LOOK_AT = 5
 CLOCKS = ("Frame", "Time")
 
 
 def _is_qualisys(file: File) -> bool:
-    return file.first_line.startswith(KEYS)
+    first = file.lines[:N_LINES_TO_LOOK_AT]
+    return any(line.lstrip().startswith(KEYS) for line in first)
 
 
 def _read(file: File) -> Recording:
-    head, n_head = _head(file.lines)
-    names = head.get("MARKER_NAMES", [])
-    if not names:
+    head, columns, n_head = _head(file.lines)
+    names = head.get(NAMES, [""])
+    if not any(names):
         raise ValueError(
-            "there are no names after MARKER_NAMES; export the 3D data of the markers, "
+            f"there are no names after {NAMES}; export the 3D data of the markers, "
             "with their names in the header."
         )
-    clocks = _clocks(head, len(names), file.lines[n_head:])
-    labels = [*clocks, *(f"{name} {axis}" for name in names for axis in "XYZ")]
+    labels = _labels(names, columns, file.lines[n_head:])
+    clocks = [label for label in CLOCKS if label in labels]
     rows = number_lines(file.lines, n_head) if clocks else _rows(file.lines, n_head)
+    markers = _markers(names, labels)
     table = read_table(rows, labels, "\t")
     warn_of_count("NO_OF_FRAMES", head.get("NO_OF_FRAMES", [""])[0], [len(table)])
-    markers = []
-    for column, name in zip(range(len(clocks), len(labels), 3), names, strict=True):
-        if name:
-            individual, bare = split_prefix(name)
-            markers.append(Marker(bare, range(column, column + 3), individual))
+    warn_of_count("NO_OF_MARKERS", head.get("NO_OF_MARKERS", [""])[0], [len(names)])
     return Recording(
         table=table,
         markers=markers,
         rate=to_rate(head.get("FREQUENCY", [""])[0]),
         rate_name="FREQUENCY",
         unit="mm",
-        stamps=len(clocks) - 1 if clocks else None,
+        stamps=labels.index(clocks[-1]) if clocks else None,
         is_seconds="Time" in clocks,
         first_frame=1,
     )
 
 
-def _head(lines: Sequence[str]) -> tuple[dict[str, list[str]], int]:
-    """Return the values of the head by their keys, and the number of its lines."""
+def _head(lines: Sequence[str]) -> tuple[dict[str, list[str]], list[str], int]:
+    """Return the values of the head by their keys, the names of columns that end it.
+
+    The last is the number of its lines. There may be no names of columns.
+    """
     head: dict[str, list[str]] = {}
+    columns: list[str] = []
     for number, line in enumerate(lines):
-        key, *values = split(line, "\t")
+        fields = split(line, "\t")
+        key, *values = fields
         # Frames begin with a number, or with a blank or a word where it is missing.
         is_frame = line and (not key[:1].isalpha() or is_number(key))
-        if "MARKER_NAMES" in head and is_frame:
-            return head, number
-        head[key] = drop_end(values) or [""]
-    return head, len(lines)
+        axes = {f"{name} {axis}" for name in head.get(NAMES, []) for axis in "XYZ"}
+        if key in CLOCKS or axes & {*fields}:
+            columns = drop_end(fields)
+        elif NAMES in head and is_frame:
+            return head, columns, number
+        else:
+            head[key] = drop_end(values) or [""]
+    return head, columns, len(lines)
 
 
-def _clocks(
-    head: dict[str, list[str]], n_markers: int, frames: Sequence[str]
+def _labels(
+    names: Sequence[str], columns: Sequence[str], frames: Sequence[str]
 ) -> list[str]:
-    """Return the names of the columns in front of the markers."""
-    if CLOCKS[0] in head:
-        return [*CLOCKS] if head[CLOCKS[0]][0] == CLOCKS[1] else [CLOCKS[0]]
-    if CLOCKS[1] in head:
-        return [CLOCKS[1]]
+    """Return the names of all columns; some files have none, or those of the clock."""
+    if {*columns} - {*CLOCKS}:
+        return [*columns]
+    axes = [f"{name} {axis}" for name in names for axis in "XYZ"]
     n_fields = len(split(frames[0], "\t")) if frames else 0
-    return [*CLOCKS] if n_fields == 3 * n_markers + len(CLOCKS) else []
+    has_clocks = not columns and n_fields == len(CLOCKS) + len(axes)
+    return [*(CLOCKS if has_clocks else columns), *axes]
+
+
+def _markers(names: Sequence[str], labels: Sequence[str]) -> list[Marker]:
+    """Return the markers that have names, with the places of their columns."""
+    places = {label: i for i, label in enumerate(labels)}
+    markers = []
+    for name in filter(None, names):
+        axes = [f"{name} {axis}" for axis in "XYZ"]
+        for label in axes:
+            if labels.count(label) != 1:
+                raise ValueError(
+                    f"{labels.count(label)} columns are called {label!r}, not one; "
+                    f"export X, Y and Z of each marker after {NAMES}, and give each "
+                    "its own name."
+                )
+        markers.append(Marker.from_label(name, [places[label] for label in axes]))
+    return markers
 
 
 def _rows(lines: Sequence[str], first: int) -> list[Line]:

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from ..._utils._warnings import warn
-from ._text import File, Table, is_number, to_float
+from ._text import File, Table, to_setting
 
 # Between a person and the name of a marker.
 PREFIX_END = ":"
@@ -20,6 +20,12 @@ class Marker(NamedTuple):
     columns: Sequence[int]  # X and Y, and Z unless it is planar
     individual: str = ""
     likelihood: int | None = None  # its column
+
+    @classmethod
+    def from_label(cls, label: str, columns: Sequence[int]) -> Self:
+        """Return the marker Hip of S01 from ``S01:Hip``; few labels name a person."""
+        individual, _, name = label.rpartition(PREFIX_END)
+        return cls(name, columns, individual) if name else cls(label, columns)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,14 +55,9 @@ class Format(NamedTuple):
 
 def warn_of_count(name: str, claimed: str | None, found: Collection[float]) -> None:
     """Warn if the head of a file counts something otherwise than its lines do."""
-    if claimed and is_number(claimed) and to_float(claimed) not in found:
+    number = to_setting(claimed or "")
+    if number == number and number not in found:  # NaN is no number
         warn(
             f"{name} is {claimed}, but the file holds {min(found):g}, which are read; "
             "if some were cut off, export the file again."
         )
-
-
-def split_prefix(label: str) -> tuple[str, str]:
-    """Split ``S01:Hip`` into the person and the marker; most labels have no person."""
-    individual, _, name = label.rpartition(PREFIX_END)
-    return (individual, name) if name else ("", label)

@@ -18,6 +18,12 @@ END_OF_HEAD = "endheader"
 TIME = "time"
 IN_DEGREES = "inDegrees"
 ANSWERS = {"yes": "degrees", "no": "radians"}
+# How the first line begins, without blanks, where OpenSim stored something else.
+NO_ANGLES = (
+    *("speeds", "velocities", "accelerations", "positions", "positionerrors"),
+    *("staticoptimization", "inversedynamics", "jointreaction", "momentarm"),
+    *("modelmarkererrors", "modelmarkerlocations", "fiber", "tendon"),
+)
 
 
 class Storage(NamedTuple):
@@ -36,6 +42,11 @@ def read_storage(file: File) -> Storage:
             f"line 1: found {file.lines[0][:SHOWN]!r}, and no line 'endheader'; "
             "load_angles reads OpenSim's .mot and .sto files. Markers are read by "
             "load_markers, and kinematics.leg_angles makes angles of them."
+        )
+    if "".join(heads[0].split()).startswith(NO_ANGLES):
+        raise ValueError(
+            f"line 1: the file holds {file.lines[0].strip()[:SHOWN]!r}, no angles; "
+            "read its columns by numpy or pandas."
         )
     n_head = heads.index(END_OF_HEAD) + 1
     settings = _settings(file.lines[: n_head - 1])

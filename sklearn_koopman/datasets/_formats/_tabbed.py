@@ -1,7 +1,11 @@
 """The tab-separated format of Fukuchi et al. (2018)."""
 
-from ._recording import Format, Marker, Recording, split_prefix
+import re
+
+from ._recording import Format, Marker, Recording
 from ._text import File, drop_end, number_lines, read_table, split
+
+LABEL = re.compile(r"(.+?)[ ._]?([XYZ])")
 
 
 def _is_tabbed(file: File) -> bool:
@@ -10,23 +14,25 @@ def _is_tabbed(file: File) -> bool:
 
 def _read(file: File) -> Recording:
     labels = drop_end(split(file.lines[0], "\t"))
-    for label in labels[1:]:
-        if len(label) == 1 or label[-1:] not in ("X", "Y", "Z"):
+    columns: dict[str, dict[str, list[int]]] = {}
+    for column, label in enumerate(labels[1:], 1):
+        parts = LABEL.fullmatch(label)
+        if not parts:
             raise ValueError(
                 f"line 1: column {label!r} is not the X, Y or Z of a marker; name it "
                 "so, or remove the column."
             )
+        name, axis = parts.groups()
+        columns.setdefault(name, {x: [] for x in "XYZ"})[axis].append(column)
     markers = []
-    for name in dict.fromkeys(label[:-1] for label in labels[1:]):
-        triple = [f"{name}{axis}" for axis in "XYZ"]
-        for label in triple:
-            if labels.count(label) != 1:
+    for name, axes in columns.items():
+        for axis, places in axes.items():
+            if len(places) != 1:
                 raise ValueError(
-                    f"marker {name!r} has {labels.count(label)} columns {label!r}, not "
+                    f"marker {name!r} has {len(places)} columns {name + axis!r}, not "
                     "one; export X, Y and Z of all markers, and give each its own name."
                 )
-        individual, bare = split_prefix(name)
-        markers.append(Marker(bare, [labels.index(x) for x in triple], individual))
+        markers.append(Marker.from_label(name, [axes[x][0] for x in "XYZ"]))
     table = read_table(number_lines(file.lines, 1), labels, "\t")
     return Recording(table=table, markers=markers, unit="mm", stamps=0)
 

@@ -2,18 +2,19 @@
 
 import codecs
 import operator
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import SupportsIndex
+from typing import Any, Self, SupportsIndex
 
 import numpy as np
 
 from ..._utils._typing import Array
 
-LINE_ENDS = re.compile(r"\r\n|\r|\n")
+LINE_ENDS = re.compile(r"\r{0,2}\n|\r")  # CR CR LF comes from copies in text mode
 BYTE_ORDER_MARKS = {
     codecs.BOM_UTF8: "utf-8-sig",
     codecs.BOM_UTF16_LE: "utf-16",
@@ -23,7 +24,15 @@ BYTE_ORDER_MARKS = {
 DELIMITERS = ("\t", ";", ",")
 SPELLED = {"\t": "tabs", ";": "semicolons", ",": "commas", None: "blanks"}
 # How programs write that there is no number.
-MISSING = frozenset({"", "nan", "null", "none", "n/a", "-nan", "nan(ind)", "-nan(ind)"})
+MISSING = frozenset(
+    {
+        *("", "nan", "-nan", "null", "none", "na", "n/a", "#n/a", "nodata", "no data"),
+        *("nan(ind)", "-nan(ind)", "nan(snan)", "-nan(snan)"),
+        *("1.#ind", "-1.#ind", "1.#qnan", "-1.#qnan", "1.#snan", "-1.#snan"),
+    }
+)
+# A comma before each three digits is no decimal one, or cannot be told from it.
+THOUSANDS = re.compile(r"\d{1,3}(,\d{3})+")
 SHOWN = 40  # characters of a line in a message
 
 Line = tuple[int, str]  # the number of a line, from 1, and its text
@@ -35,6 +44,20 @@ class File:
 
     path: Path
     data: bytes
+
+    @classmethod
+    def read(cls, path: Any) -> Self:
+        """Read a file; refuse what is no path, and folders."""
+        try:
+            where = Path(os.fsdecode(path))
+        except TypeError as error:
+            raise TypeError(f"path must be that of a file, got {path!r}.") from error
+        if where.is_dir():
+            raise IsADirectoryError(
+                f"{where} is a folder; pass the path of each of its files, as by "
+                "sorted(pathlib.Path(folder).glob('*.trc'))."
+            )
+        return cls(where, where.read_bytes())
 
     @property
     def suffix(self) -> str:
@@ -77,6 +100,17 @@ def split(line: str, delimiter: str | None) -> list[str]:
     return [field.strip().strip('"').strip() for field in line.split(delimiter)]
 
 
+def find_row_delimiter(line: str, delimiter: str | None, n_columns: int) -> str | None:
+    """Return what separates the numbers of a line, if the names have a delimiter."""
+    if len(split(line, delimiter)) > 1:
+        return delimiter
+    for other in (*DELIMITERS, None):
+        fields = drop_end(split(line, other))
+        if len(fields) == n_columns and all(map(is_number, fields)):
+            return other
+    return delimiter
+
+
 def drop_end(fields: list[str]) -> list[str]:
     """Drop the empty fields at the end of a line."""
     n_fields = max((i for i, field in enumerate(fields, 1) if field), default=0)
@@ -101,9 +135,15 @@ def to_float(field: str) -> float:
     return float(field)
 
 
+def to_setting(field: str) -> float:
+    """Convert a number in the head, with a decimal comma or not; NaN if it is none."""
+    is_plain = is_number(field) and not THOUSANDS.fullmatch(field)
+    return to_float(field.replace(",", ".")) if is_plain else np.nan
+
+
 def to_rate(field: str) -> float | None:
     """Convert a number of frames per second; None for what is none."""
-    rate = to_float(field) if is_number(field) else np.nan
+    rate = to_setting(field)
     return rate if 0 < rate < np.inf else None
 
 
@@ -114,7 +154,7 @@ class Table:
     values: Array  # (n_rows, n_columns), NaN where there is no number
     labels: Sequence[str]  # of the columns
     places: Sequence[int]  # of the rows in the file
-    faults: dict[tuple[int, int], str]  # what is no number, by row and column
+    faults: dict[int, tuple[int, str]]  # the first field that is no number, its row
     kind: str = "line"  # what the places count
 
     def place(self, row: SupportsIndex) -> str:
@@ -123,13 +163,13 @@ class Table:
 
     def read(self, columns: Sequence[int]) -> Array:
         """Return some columns; refuse those that hold what is no number."""
-        for (row, column), field in self.faults.items():
-            if column in columns:
-                raise ValueError(
-                    f"{self.place(row)}: {field!r} in column {self.labels[column]!r} "
-                    "is not a number; leave missing numbers blank, and write a decimal "
-                    "point or comma, but no two of them in one file."
-                )
+        for column in sorted({*columns} & {*self.faults}, key=self.faults.__getitem__):
+            row, field = self.faults[column]
+            raise ValueError(
+                f"{self.place(row)}: {field!r} in column {self.labels[column]!r} "
+                "is not a number; leave missing numbers blank, and write a decimal "
+                "point or comma, but no two of them in one file."
+            )
         return self.values[:, list(columns)]
 
     def __len__(self) -> int:
@@ -144,7 +184,7 @@ def read_table(
     n_columns = len(labels)
     values: list[list[float]] = []
     places: list[int] = []
-    faults: dict[tuple[int, int], str] = {}
+    faults: dict[int, tuple[int, str]] = {}
     for number, line in lines:
         row = _read_plain(line, delimiter)
         if len(row) != n_columns:
@@ -158,7 +198,8 @@ def read_table(
                     f"{SPELLED[delimiter]}, expected {n_columns}; the line is damaged, "
                     "export the file again."
                 )
-            faults |= {(len(values), column): field for column, field in wrong.items()}
+            for column, field in wrong.items():
+                faults.setdefault(column, (len(values), field))
         values.append(row[:n_columns])
         places.append(number)
     if not values:

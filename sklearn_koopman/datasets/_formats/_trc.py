@@ -2,12 +2,13 @@
 
 import re
 
-from ._recording import Format, Marker, Recording, split_prefix, warn_of_count
+from ._recording import Format, Marker, Recording, warn_of_count
 from ._text import (
     SHOWN,
     File,
     drop_end,
     find_delimiter,
+    find_row_delimiter,
     is_number,
     number_lines,
     read_table,
@@ -26,10 +27,15 @@ def _is_trc(file: File) -> bool:
 
 def _read(file: File) -> Recording:
     lines = file.lines
-    if len(lines) < N_HEADER_LINES or not file.first_line.startswith("PathFileType"):
+    if not file.first_line.startswith("PathFileType"):
         raise ValueError(
             f"line 1: found {lines[0][:SHOWN]!r}, expected the five lines of a TRC "
             "header, the first beginning with 'PathFileType'."
+        )
+    if len(lines) < N_HEADER_LINES:
+        raise ValueError(
+            f"line {len(lines)} is the last one, but a TRC header has five lines; copy "
+            "or export the file again."
         )
     settings = _settings(lines)
     delimiter = find_delimiter(lines[3].strip())
@@ -43,12 +49,15 @@ def _read(file: File) -> Recording:
     has_axes = any(axes) and not any(map(is_number, filter(None, axes)))
     rows = number_lines(lines, N_HEADER_LINES + has_axes)
     if not has_axes:
-        n_fields = len(drop_end(split(rows[0][1], delimiter))) if rows else 2
+        n_fields = max([2, *(_count_numbers(row, delimiter) for _, row in rows)])
         axes = ["", "", *("XYZ"[i % 3] for i in range(n_fields - 2))]
     markers, labels = _markers(head, axes)
-    table = read_table(rows, [*head[:2], *labels], delimiter)
+    labels = [*head[:2], *labels]
+    if rows:
+        delimiter = find_row_delimiter(rows[0][1].strip(), delimiter, len(labels))
+    table = read_table(rows, labels, delimiter)
     warn_of_count("NumFrames in line 3", settings.get("NumFrames"), [len(table)])
-    n_markers = [len(markers), len(labels) / 3]
+    n_markers = [len(markers), (len(labels) - 2) / 3]
     warn_of_count("NumMarkers in line 3", settings.get("NumMarkers"), n_markers)
     return Recording(
         table=table,
@@ -59,6 +68,12 @@ def _read(file: File) -> Recording:
         stamps=1,
         is_seconds=True,
     )
+
+
+def _count_numbers(row: str, delimiter: str | None) -> int:
+    """Return the number of fields of a row; none of a comment."""
+    fields = drop_end(split(row, delimiter))
+    return len(fields) if is_number(fields[0]) else 0
 
 
 def _settings(lines: list[str]) -> dict[str, str]:
@@ -98,8 +113,7 @@ def _markers(head: list[str], axes: list[str]) -> tuple[list[Marker], list[str]]
                 "and a Z; export the file again."
             )
         order = [start + triple.index(axis) for axis in "XYZ"]
-        individual, bare = split_prefix(name)
-        markers.append(Marker(bare, [2 + i for i in order], individual))
+        markers.append(Marker.from_label(name, [2 + i for i in order]))
         for i, axis in zip(order, "XYZ", strict=True):
             labels[i] = f"{name}{axis}"
     return markers, labels

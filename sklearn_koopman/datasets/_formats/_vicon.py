@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ._recording import Format, Marker, Recording, split_prefix
+from ._recording import Format, Marker, Recording
 from ._text import (
     SHOWN,
     File,
@@ -20,6 +20,7 @@ SECTION = "trajectories"
 OTHER_SECTIONS = ("devices", "joints", "model outputs", "segments", "events")
 # What follows the name of the section: rate, names, axes; then units, mostly.
 N_HEADER_LINES = 3
+MAX_RATE_FIELDS = 2  # the rate, and its unit
 CLOCKS = ("frame", "field")
 
 
@@ -81,8 +82,7 @@ def _read(file: File) -> Recording:
     labels = list(axes)
     markers = []
     for column, name in columns.items():
-        individual, bare = split_prefix(name)
-        markers.append(Marker(bare, range(column, column + 3), individual))
+        markers.append(Marker.from_label(name, range(column, column + 3)))
         labels[column : column + 3] = [f"{name} {axis}" for axis in "XYZ"]
     return Recording(
         table=read_table(_rows(file.lines, first + has_units), labels, delimiter),
@@ -97,10 +97,20 @@ def _read(file: File) -> Recording:
 
 
 def _rows(lines: Sequence[str], first: int) -> list[Line]:
-    """Return the lines of frames; a blank line ends the section."""
+    """Return the lines of frames; a blank line and the name of a section end them."""
     rows = number_lines(lines, first)
-    ends = (i for i, (number, _) in enumerate(rows) if number != first + 1 + i)
+    ends = (i for i, (n, _) in enumerate(rows) if _begins_section(lines[n - 2 : n + 1]))
     return rows[: next(ends, len(rows))]
+
+
+def _begins_section(lines: Sequence[str]) -> bool:
+    """Whether a blank line is followed by the name of a section, and by its rate."""
+    before, name, *after = lines
+    if before.strip(" \t,;") or find_delimiter(_name(name)) or is_number(_name(name)):
+        return False
+    rate = drop_end(split(after[0], find_delimiter(after[0]))) if after else []
+    has_rate = 1 <= len(rate) <= MAX_RATE_FIELDS and to_rate(rate[0]) is not None
+    return has_rate or bool(_sections([name]))
 
 
 VICON = Format("Vicon", _is_vicon, _read)

@@ -1,6 +1,6 @@
 """Visual3D's text."""
 
-from ._recording import Format, Marker, Recording, split_prefix
+from ._recording import Format, Marker, Recording
 from ._text import File, drop_end, number_lines, read_table, split
 
 N_HEADER_LINES = 5  # recordings, signals, types, folders, axes
@@ -37,8 +37,7 @@ def _read(file: File) -> Recording:
                     f"{names[column : column + 3]}, expected one name; export the file "
                     "again."
                 )
-            individual, bare = split_prefix(name)
-            markers.append(Marker(bare, range(column, column + 3), individual))
+            markers.append(Marker.from_label(name, range(column, column + 3)))
     if not markers:
         raise ValueError(
             f"line 3: the file holds {sorted({*types[1:]})}, not the X, Y and Z of a "
