@@ -195,7 +195,7 @@ of them, default=None
     check_integer(lag, "lag", 1)
     offsets = check_offsets(delays, delay_step)
     _check_embedding(embedding, outputs, outputs_in_state)
-    recordings, names, output_names, is_pandas = read_recordings(
+    recordings, names, output_names, is_pandas, _ = read_recordings(
         trajectories, outputs, gaps=gaps, rates=rates, resample=resample
     )
     least = offsets[-1] + lag + 1
@@ -339,7 +339,7 @@ def current_states(
     _check_embedding(embedding, outputs, outputs_in_state)
     # Outputs that are still to be measured must not cut the states.
     used = outputs if outputs_in_state else None
-    recordings, names, output_names, is_pandas = read_recordings(
+    recordings, names, output_names, is_pandas, _ = read_recordings(
         recording, used, gaps=gaps, rates=rates, resample=resample, name="recording"
     )
     if len(recordings) > 1:
@@ -455,7 +455,7 @@ def join_recordings(recordings: Sequence[ArrayLike]) -> Any:
     >>> join_recordings([earlier, now]).ravel()
     array([ 0.,  1.,  2., nan,  7.,  8.])
     """
-    read, names, _, is_pandas = read_recordings(
+    read, names, _, is_pandas, _ = read_recordings(
         recordings, None, gaps="split", rates=None, resample=None, name="recordings"
     )
     gap = np.full((1, len(names)), np.nan)
@@ -473,8 +473,9 @@ def join_recordings(recordings: Sequence[ArrayLike]) -> Any:
         return joined
     import pandas as pd
 
-    frame: Any = next(each for each in recordings if hasattr(each, "iloc"))
-    return pd.DataFrame(joined, columns=frame.columns)
+    frames: Any = [recordings] if hasattr(recordings, "iloc") else recordings
+    columns = next(each.columns for each in frames if hasattr(each, "iloc"))
+    return pd.DataFrame(joined, columns=columns)
 
 
 def successor_rows(sample_index: Any) -> tuple[Indices, Indices]:
