@@ -147,7 +147,11 @@ def fix_choices(fitted: Any) -> Any:
         *front, (name, final) = fitted.steps
         steps = [(label, clone(step)) for label, step in front]
         return Pipeline([*steps, (name, fix_choices(final))])
-    return clone(getattr(fitted, "best_estimator_", fitted))
+    best = clone(getattr(fitted, "best_estimator_", fitted))
+    if getattr(fitted, "method", None) == "interpolation":
+        # The centres of the best one are rows of all recordings, not of a fold.
+        best.set_params(centers=clone(fitted.centers, safe=False))
+    return best
 
 
 def predict_rows(fitted: Any, features: Array, ahead: Ahead) -> Array:
