@@ -31,7 +31,7 @@ from ._forecasting._calibration import (
     symmetric_band,
 )
 from ._forecasting._corrections import Ahead, is_operator, predict_rows
-from ._forecasting._tracks import Track, as_list, check_horizons, read_tracks
+from ._forecasting._tracks import Seen, Track, as_list, check_horizons, read_tracks
 from ._forecasting._training import Design, fit_candidate, horizon_step
 from ._forecasting._units import as_units, split_units, take
 from ._utils._embedding import EMBEDDINGS, check_offsets
@@ -138,12 +138,14 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         Only after :meth:`fit_conformalize`: the models that have left out units.
     takes_outputs_ : bool
         Whether `fit` was given `y`.
+    rate_ : float or None
+        Samples a second, where an index of time stamps tells them.
     n_outputs_ : int
         Number of outputs.
     n_features_in_ : int
         Number of columns seen during `fit`.
     feature_names_in_ : ndarray of str of shape (n_features_in_,)
-        Their names, where the recordings have string names.
+        Their names, where recordings are DataFrames that have some.
 
     See Also
     --------
@@ -305,6 +307,7 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         self.n_outputs_ = table.truth.shape[2]
         self.n_features_in_ = len(read.names)
         self.takes_outputs_ = y is not None
+        self.rate_ = read.rate
         if read.has_names:
             self.feature_names_in_ = np.array(read.names, dtype=object)
         return self
@@ -795,17 +798,18 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
 
     def _read(self, X: Any, y: Any = None) -> list[tuple[Any, Track]]:
         """Read recordings, which are to have the columns of those of `fit`."""
-        read = read_tracks(X, y, None if y is not None else self.targets)
         names = getattr(self, "feature_names_in_", None)
-        if len(read.names) != self.n_features_in_ or (
-            names is not None and read.has_names and read.names != names.tolist()
-        ):
-            wanted = self.n_features_in_ if names is None else names.tolist()
-            raise ValueError(
-                f"the recordings have the columns {read.names}, those of fit had "
-                f"{wanted}; pass the same columns in the same order."
-            )
-        return list(zip(as_list(X, "X"), read.tracks, strict=True))
+        seen = Seen(
+            [f"x{number}" for number in range(self.n_features_in_)]
+            if names is None
+            else names.tolist(),
+            names is not None,
+            self.rate_,
+            self.n_outputs_ if self.takes_outputs_ else None,
+        )
+        targets = None if self.takes_outputs_ else self.targets
+        tracks = read_tracks(X, y, targets, seen).tracks
+        return list(zip(as_list(X, "X"), tracks, strict=True))
 
     def _warn_of_none(self, forecasts: Array) -> None:
         """Warn of recordings whose last row has no forecast."""

@@ -10,6 +10,7 @@ import numpy as np
 from sklearn import config_context
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline
+from sklearn.utils.validation import has_fit_parameter
 
 from .._utils._pipeline import find_operator, transformed
 from .._utils._typing import Array, Indices
@@ -75,6 +76,12 @@ def is_operator(estimator: Any) -> bool:
     return hasattr(last_step(estimator)[1], "forecast")
 
 
+def is_search(estimator: Any) -> bool:
+    """Whether `fit` takes groups, for the splitter of a search."""
+    # scikit-learn's searches take them among their **params.
+    return hasattr(estimator, "refit") or has_fit_parameter(estimator, "groups")
+
+
 def learn(
     estimator: Any, rows: Rows, splits: Sequence[tuple[Indices, Indices]], ahead: Ahead
 ) -> tuple[Any, Array]:
@@ -125,11 +132,12 @@ def fit_rows(estimator: Any, rows: Rows) -> Any:
     parameters: dict[str, Any] = {}
     if is_operator(estimator):
         parameters[f"{prefix}sample_index"] = rows.sample_index
-    elif hasattr(final, "cv") and len(np.unique(rows.groups)) > 1:
+    elif is_search(final) and len(np.unique(rows.groups)) > 1:
         parameters[f"{prefix}groups"] = rows.groups
     values = rows.values[:, 0] if rows.n_values == 1 else rows.values
     # The names of parameters are those of pipelines, with or without routing.
-    with config_context(enable_metadata_routing=False):
+    with config_context(enable_metadata_routing=False), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "The groups parameter is ignored")
         return clone(estimator).fit(rows.features, values, **parameters)
 
 
@@ -139,7 +147,11 @@ def fix_choices(fitted: Any) -> Any:
         *front, (name, final) = fitted.steps
         steps = [(label, clone(step)) for label, step in front]
         return Pipeline([*steps, (name, fix_choices(final))])
-    return clone(getattr(fitted, "best_estimator_", fitted))
+    best = clone(getattr(fitted, "best_estimator_", fitted))
+    if getattr(fitted, "method", None) == "interpolation":
+        # The centres of the best one are rows of all recordings, not of a fold.
+        best.set_params(centers=clone(fitted.centers, safe=False))
+    return best
 
 
 def predict_rows(fitted: Any, features: Array, ahead: Ahead) -> Array:

@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.utils import check_array
 
+from .._utils._clocks import RATE_TOLERANCE
 from .._utils._embedding import embed
-from .._utils._recordings import read_recordings
+from .._utils._recordings import Recording, read_recordings
 from .._utils._typing import Array, Indices
 from .._utils._validation import check_columns
 
@@ -77,15 +78,39 @@ class Tracks(NamedTuple):
         Whether the names are those of DataFrames.
     output_names : list of str
         The names of the outputs.
+    rate : float or None
+        Samples a second, where an index of time stamps tells.
     """
 
     tracks: list[Track]
     names: list[str]
     has_names: bool
     output_names: list[str]
+    rate: float | None
 
 
-def read_tracks(X: Any, y: Any, targets: Any) -> Tracks:
+class Seen(NamedTuple):
+    """What the recordings of `fit` were like.
+
+    Attributes
+    ----------
+    names : list of str
+        The names of their columns, numbered ones where they had none.
+    has_names : bool
+        Whether they had names.
+    rate : float or None
+        Samples a second, if known.
+    n_outputs : int or None
+        The number of outputs that were no columns.
+    """
+
+    names: list[str]
+    has_names: bool
+    rate: float | None
+    n_outputs: int | None
+
+
+def read_tracks(X: Any, y: Any, targets: Any, seen: Seen | None = None) -> Tracks:
     """Validate recordings, and find their gaps and outputs.
 
     Parameters
@@ -96,11 +121,19 @@ def read_tracks(X: Any, y: Any, targets: Any) -> Tracks:
         Outputs that are no columns of `X`.
     targets : None, or list of str or int
         The columns of `X` that are forecast; None takes all, unless there is `y`.
+    seen : Seen, default=None
+        What the recordings have to be like; None in `fit`.
     """
     items = as_list(X, "X")
-    read = read_recordings(items, None, gaps="split", rates=None, resample=None)
-    has_names = any(getattr(item, "columns", None) is not None for item in items)
-    has_names &= all(isinstance(name, str) for name in read.names)
+    read = read_recordings(
+        items, None, gaps="split", rates=None, resample=None, name="X"
+    )
+    has_names = any(map(_has_names, items))
+    names = read.names
+    if seen is not None:
+        _check_seen(read.names, has_names, read.rate, seen)
+        names = seen.names
+    states = [_without_gaps(recording) for recording in read.recordings]
     if y is not None:
         if targets is not None:
             raise ValueError(
@@ -108,19 +141,26 @@ def read_tracks(X: Any, y: Any, targets: Any) -> Tracks:
                 "outputs that X does not hold, else targets alone."
             )
         outputs, output_names = _read_outputs(items, y)
+        n_outputs = outputs[0].shape[1]
+        if seen is not None and seen.n_outputs not in (None, n_outputs):
+            raise ValueError(
+                f"y has {n_outputs} outputs, that of fit had {seen.n_outputs}; pass "
+                "the same outputs."
+            )
+    elif seen is not None and seen.n_outputs is not None:
+        outputs = [np.full((len(each), seen.n_outputs), np.nan) for each in states]
+        output_names = [f"y{number}" for number in range(seen.n_outputs)]
     else:
-        columns = find_columns(targets, read.names)
-        outputs = [r.samples.states[:, columns] for r in read.recordings]
-        output_names = [read.names[column] for column in columns]
-    tracks = []
-    for recording, output in zip(read.recordings, outputs, strict=True):
-        states = recording.samples.states.copy()
-        is_gap = np.ones(len(states), dtype=bool)
-        for rows in recording.pieces:
-            is_gap[rows] = False
-        states[is_gap] = np.nan
-        tracks.append(Track(states, output, recording.pieces))
-    return Tracks(tracks, read.names, has_names, output_names)
+        columns = find_columns(targets, names)
+        outputs = [each[:, columns] for each in states]
+        output_names = [names[column] for column in columns]
+    tracks = [
+        Track(each, output, recording.pieces)
+        for each, output, recording in zip(
+            states, outputs, read.recordings, strict=True
+        )
+    ]
+    return Tracks(tracks, names, has_names, output_names, read.rate)
 
 
 def check_horizons(horizons: Any) -> Indices:
@@ -182,6 +222,39 @@ def find_columns(targets: Any, names: list[str]) -> list[int]:
     if not columns or len({*columns}) < len(columns):
         raise ValueError(f"targets={targets!r} must name each of some columns once.")
     return columns
+
+
+def _has_names(recording: Any) -> bool:
+    """Whether the columns of a recording have names, other than their numbers."""
+    columns = getattr(recording, "columns", None)
+    return columns is not None and list(columns) != list(range(len(columns)))
+
+
+def _check_seen(
+    names: list[str], has_names: bool, rate: float | None, seen: Seen
+) -> None:
+    """Refuse recordings that are not like those of `fit`."""
+    differ = seen.has_names and has_names and names != seen.names
+    if differ or len(names) != len(seen.names):
+        raise ValueError(
+            f"the recordings have the columns {names}, those of fit had {seen.names}; "
+            "pass the same columns in the same order."
+        )
+    if rate and seen.rate and abs(rate / seen.rate - 1) > RATE_TOLERANCE:
+        raise ValueError(
+            f"the recordings have {rate:g} samples a second, those of fit had "
+            f"{seen.rate:g}; interpolate them to the same rate."
+        )
+
+
+def _without_gaps(recording: Recording) -> Array:
+    """Return the states, NaN in all columns of rows in gaps."""
+    states = recording.samples.states.copy()
+    is_gap = np.ones(len(states), dtype=bool)
+    for rows in recording.pieces:
+        is_gap[rows] = False
+    states[is_gap] = np.nan
+    return states
 
 
 def _read_outputs(items: list[Any], y: Any) -> tuple[list[Array], list[str]]:
