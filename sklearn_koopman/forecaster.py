@@ -439,6 +439,7 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         ValueError
             If the recordings are not like those of `fit`, or have no such rows.
         """
+        check_is_fitted(self)
         truth = np.concatenate(self._following(X, y))
         said = {"forecast": np.concatenate(self.predict(X))}
         for name in BASELINES:
@@ -491,6 +492,7 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         ValueError
             If the recording is not like those of `fit`, or has no forecast there.
         """
+        check_is_fitted(self)
         if isinstance(recording, list | tuple | dict):
             raise ValueError(
                 "recording must be one array or DataFrame, got "
