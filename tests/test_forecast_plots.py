@@ -581,6 +581,10 @@ def test_analogs_of_the_last_row(forecaster, walks):
     assert "what came" not in legend_of(display.ax_)
     assert display.ax_.get_xlabel() == "time [samples]"
     assert display.ax_.get_ylabel() == "forward"
+    gap = walks[7].copy()
+    gap.iloc[last - 5] = np.nan
+    display = AnalogDisplay.from_estimator(forecaster, gap, start=last - 25)
+    assert display.truth_ is None
 
 
 def test_curves_stay_below_the_legend(forecaster, walks):

@@ -229,34 +229,31 @@ class AnalogDisplay(Display):  # numpydoc ignore=PR02
         step = 1 if self.dt is None else self.dt
         ahead, window = np.arange(self.horizon + 1), np.arange(1 - self.window, 1)
         end = self.start + self.horizon
-        opacity = FAINTEST + (1 - FAINTEST) * self.weights / self.weights.max()
+        opacity = np.interp(self.weights, [0, self.weights.max()], [FAINTEST, 1])
         shades = to_rgba_array([BLUE] * len(opacity), opacity)
-
-        def cut(rows: Indices) -> Any:
-            return np.stack([rows * step, self.outputs[rows]], axis=-1)
 
         self.now_ = ax.axvline(self.start * step, color="0.8", linewidth=1, zorder=0)
         style: dict[str, Any] = {"color": "k", "linewidth": 0.8, "label": "measured"}
         rows = np.arange(len(self.outputs))
-        (self.line_,) = ax.plot(*cut(rows).T, **merge_style(style, line_kw))
+        (self.line_,) = ax.plot(*self._points(rows).T, **merge_style(style, line_kw))
         style = {"color": "k", "linewidth": 4, "label": "present window"}
         style |= {"solid_capstyle": "butt"}
-        (self.present_,) = ax.plot(*cut(self.start + window).T, **style)
+        (self.present_,) = ax.plot(*self._points(self.start + window).T, **style)
         style = {"colors": shades, "linewidth": 4, "label": "analogs, by weight"}
         style = merge_style(style, window_kw, collection=True)
-        windows = cut(self.analogs[:, np.newaxis] + window)
+        windows = self._points(self.analogs[:, np.newaxis] + window)
         self.windows_ = ax.add_collection(LineCollection(windows, **style))
         style = {"colors": shades, "linewidth": 1.5, "label": "what followed them"}
-        followed = cut(self.analogs[:, np.newaxis] + ahead)
+        followed = self._points(self.analogs[:, np.newaxis] + ahead)
         self.followers_ = ax.add_collection(LineCollection(followed, **style))
-        ends = cut(self.analogs + self.horizon)
+        ends = self._points(self.analogs + self.horizon)
         self.ends_ = ax.scatter(*ends.T, s=16, color=shades, zorder=2.5)
         point: dict[str, Any] = {"linestyle": "", "zorder": 3}
         style = {"marker": "_", "markersize": 16, "markeredgewidth": 2, "color": BLUE}
         style |= {"label": "their mean"}
         (self.baseline_,) = ax.plot(end * step, self.baseline, **point, **style)
         self.truth_ = None
-        if end < len(self.outputs):
+        if np.isfinite(self.outputs[end : end + 1]).any():
             style = {"marker": "o", "markersize": 9, "markerfacecolor": "none"}
             style |= {**point, "color": "k", "label": "what came"}
             style = merge_style(style, truth_kw)
@@ -270,6 +267,11 @@ class AnalogDisplay(Display):  # numpydoc ignore=PR02
         ax.set(xlabel=time_label, ylabel=with_unit(self.output_name, self.unit))
         ax.legend(loc="upper center", ncols=4, fontsize="small")
         return self
+
+    def _points(self, rows: Indices) -> Any:
+        """Return the times and outputs of some rows."""
+        step = 1 if self.dt is None else self.dt
+        return np.stack([rows * step, self.outputs[rows]], axis=-1)
 
 
 def _find_horizon(forecaster: Any, horizon: int | None) -> int:

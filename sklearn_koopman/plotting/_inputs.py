@@ -228,12 +228,41 @@ def resolve_names(
 
 
 def is_forecaster(estimator: Any) -> bool:
-    """Return whether an estimator forecasts whole recordings."""
+    """Return whether an estimator forecasts whole recordings.
+
+    Parameters
+    ----------
+    estimator : estimator instance
+        Any estimator.
+
+    Returns
+    -------
+    answer : bool
+        Whether it does.
+    """
     return hasattr(estimator, "explain")
 
 
 def find_forecaster(estimator: Any) -> tuple[Any, Any]:
-    """Split a fitted forecaster, pipeline or search as `unwrap` does; refuse others."""
+    """Split a fitted forecaster as `unwrap` does; refuse others.
+
+    Parameters
+    ----------
+    estimator : estimator instance
+        A fitted KoopmanForecaster, a pipeline that ends in one, or a search of either.
+
+    Returns
+    -------
+    forecaster : KoopmanForecaster
+        The last step of a pipeline, or the estimator itself.
+    front : Pipeline or None
+        The steps before it, if any.
+
+    Raises
+    ------
+    ValueError
+        If it is no fitted forecaster.
+    """
     check_is_fitted(estimator)
     forecaster, front = unwrap(estimator)
     if not is_forecaster(forecaster):
@@ -244,7 +273,20 @@ def find_forecaster(estimator: Any) -> tuple[Any, Any]:
 
 
 def sorted_horizons(forecaster: Any) -> tuple[Indices, Indices]:
-    """Return the order in which the horizons of a forecaster rise, and these."""
+    """Return the horizons of a forecaster in rising order.
+
+    Parameters
+    ----------
+    forecaster : KoopmanForecaster
+        The forecaster.
+
+    Returns
+    -------
+    order : ndarray of shape (n_horizons,)
+        The number of each among the horizons as they were given.
+    horizons : ndarray of shape (n_horizons,)
+        The horizons.
+    """
     horizons = np.asarray(forecaster.horizons)
     order = np.argsort(horizons)
     return order, horizons[order]
