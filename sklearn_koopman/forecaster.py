@@ -15,8 +15,15 @@ from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
 
 from ._forecasting._analogs import Analogs
-from ._forecasting._baselines import ANALOGS, DIRECT, LAST, Baselines, find_candidates
-from ._forecasting._blending import blend, find_stand_ins, positive, spread
+from ._forecasting._baselines import (
+    ANALOGS,
+    BASELINES,
+    DIRECT,
+    LAST,
+    Baselines,
+    find_candidates,
+)
+from ._forecasting._blending import blend, compare, find_stand_ins, positive, spread
 from ._forecasting._calibration import (
     GUARANTEES,
     check_coverage,
@@ -31,7 +38,14 @@ from ._forecasting._calibration import (
     symmetric_band,
 )
 from ._forecasting._corrections import Ahead, is_operator, predict_rows
-from ._forecasting._tracks import Seen, Track, as_list, check_horizons, read_tracks
+from ._forecasting._tracks import (
+    Seen,
+    Track,
+    as_list,
+    check_horizons,
+    pick_start,
+    read_tracks,
+)
 from ._forecasting._training import Design, fit_candidate, horizon_step
 from ._forecasting._units import as_units, split_units, take
 from ._utils._embedding import EMBEDDINGS, check_offsets
@@ -142,6 +156,8 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         Samples a second, where an index of time stamps tells them.
     n_outputs_ : int
         Number of outputs.
+    output_names_ : ndarray of str of shape (n_outputs_,)
+        Their names, numbered ones where the data have none.
     n_features_in_ : int
         Number of columns seen during `fit`.
     feature_names_in_ : ndarray of str of shape (n_features_in_,)
@@ -305,6 +321,7 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         self.stand_in_scale_ = positive(stand_ins.scale)
         self.column_scale_ = scale
         self.n_outputs_ = table.truth.shape[2]
+        self.output_names_ = np.array(read.output_names, dtype=object)
         self.n_features_in_ = len(read.names)
         self.takes_outputs_ = y is not None
         self.rate_ = read.rate
@@ -356,19 +373,10 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
             If the recordings are not like those of `fit`.
         """
         check_is_fitted(self)
-        design, said = self._design(self.column_scale_), []
-        for recording, track in self._read(X):
-            past = track.embedded(design.offsets, design.embedding)
-            rows = np.flatnonzero(np.isfinite(past).all(axis=1))
-            shape = (len(past), len(self.baselines_), self.n_outputs_)
-            forecasts = np.full(shape, np.nan)
-            for name in self.estimators_:
-                if name != DIRECT:
-                    each = design.baselines.say(name, recording, track, past, rows)
-                    at = np.ix_(rows, self.baselines_ == name)
-                    forecasts[at] = each.forecasts[:, self.baselines_ == name]
-            said.append(forecasts)
-        return said
+        return [
+            self._say_chosen(recording, track, np.arange(len(track.states)))
+            for recording, track in self._read(X)
+        ]
 
     def forecast(self, X: Any) -> Array:
         """Forecast from the last row of each recording, as :meth:`predict` does.
@@ -421,6 +429,107 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         forecasts = self.predict(X)
         truth = self._following(X, y)
         return [f - came for f, came in zip(forecasts, truth, strict=True)]
+
+    def compare(self, X: Any, y: Any = None) -> dict[str, Array]:
+        """Return the errors of the forecasts beside those of each baseline alone.
+
+        Parameters
+        ----------
+        X : list of array-like of shape (n_rows, n_features)
+            The recordings.
+        y : list of array-like, default=None
+            The outputs, if `fit` was given some.
+
+        Returns
+        -------
+        errors : dict of str to ndarray of shape (n_horizons, n_outputs)
+            Root mean square errors in the units of the outputs, of the "forecast" and
+            of the baselines that `fit` has tried, over the rows that all speak of and
+            whose outputs have come at all horizons. A baseline that speaks of less than
+            half of the rows is left out.
+
+        Raises
+        ------
+        ValueError
+            If the recordings are not like those of `fit`, or have no such rows.
+        """
+        check_is_fitted(self)
+        truth = np.concatenate(self._following(X, y))
+        said = {"forecast": np.concatenate(self.predict(X))}
+        for name in BASELINES:
+            if name in self.left_out_errors_:
+                parts = [
+                    self._say(name, recording, track, np.arange(len(track.states)))
+                    for recording, track in self._read(X)
+                ]
+                said[name] = np.concatenate(parts)
+        return compare(said, truth)
+
+    def explain(
+        self, recording: Any, y: Any = None, *, start: int | None = None
+    ) -> Bunch:
+        """Return what the forecast from one row is made of.
+
+        Parameters
+        ----------
+        recording : array-like of shape (n_rows, n_features)
+            One recording.
+        y : array-like of shape (n_rows,) or (n_rows, n_outputs), default=None
+            The outputs, if `fit` was given some.
+        start : int, default=None
+            The row to forecast from. None for the last one whose outputs have come at
+            all horizons; for the last one that has a forecast if there is none.
+
+        Returns
+        -------
+        parts : :class:`~sklearn.utils.Bunch`
+            With the attributes
+
+            start : int
+                The row.
+            outputs : ndarray of shape (n_rows, n_outputs)
+                The outputs of the whole recording.
+            forecast : ndarray of shape (n_horizons, n_outputs)
+                As :meth:`predict` returns it.
+            baseline : ndarray of shape (n_horizons, n_outputs)
+                As :meth:`predict_baseline` returns it.
+            window : int
+                The number of rows up to the present one that are compared to the past.
+            analogs : ndarray of int of shape (n_horizons, n_analogs)
+                The rows that are most similar, the nearest first; -1 where there are
+                fewer, or at horizons with another baseline.
+            weights : ndarray of shape (n_horizons, n_analogs)
+                Their weights, which sum to 1, or are 0 where there is no analog.
+
+        Raises
+        ------
+        ValueError
+            If the recording is not like those of `fit`, or has no forecast there.
+        """
+        check_is_fitted(self)
+        if isinstance(recording, list | tuple | dict):
+            raise ValueError(
+                "recording must be one array or DataFrame, got "
+                f"{type(recording).__name__}; pass one of its items."
+            )
+        outputs = None if y is None else [y]
+        (came,) = self._following([recording], outputs)
+        ((_, track),) = self._read([recording], outputs)
+        design = self._design(self.column_scale_)
+        past = track.embedded(design.offsets, design.embedding)
+        start = pick_start(past, came, start)
+        rows = np.array([start])
+        found = design.baselines.find(track, rows)
+        has_analogs = (self.baselines_ == ANALOGS)[:, np.newaxis]
+        return Bunch(
+            start=start,
+            outputs=track.outputs,
+            forecast=self._predict_rows(design, recording, track, rows)[0][0],
+            baseline=self._say_chosen(recording, track, rows)[0],
+            window=design.baselines.analogs.window,
+            analogs=np.where(has_analogs, found.places[0, 1:], -1),
+            weights=np.where(has_analogs, found.weights[0, 1:], 0.0),
+        )
 
     def score(self, X: Any, y: Any = None, sample_weight: Any = None) -> float:
         """Return R², averaged over horizons and outputs.
@@ -694,7 +803,9 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         said, of_rows = forecasts[is_known], scale[is_known]
         for name in np.unique(self.baselines_):
             at = self.baselines_ == name
-            said[:, at] = self._say(name, design, recording, track, past, known)[:, at]
+            said[:, at] = self._correct(name, design, recording, track, past, known)[
+                :, at
+            ]
         has_analogs = np.array([name == ANALOGS for name in self.baselines_])
         is_lost = np.isnan(said) & has_analogs[:, np.newaxis]
         if is_lost.any():  # there is no analog yet
@@ -704,7 +815,7 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
             at = self.stand_ins_ == DIRECT
             if at.any():
                 some = np.flatnonzero(is_lost.any(axis=(1, 2)))
-                by_itself = self._say(
+                by_itself = self._correct(
                     DIRECT, design, recording, track, past, known[some]
                 )
                 instead[np.ix_(some, at)] = by_itself[:, at]
@@ -713,7 +824,7 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         forecasts[is_known], scale[is_known] = said, of_rows
         return forecasts, scale
 
-    def _say(
+    def _correct(
         self,
         name: str,
         design: Design,
@@ -741,6 +852,24 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
             if name != DIRECT:
                 correction *= self.horizon_weights_[:, np.newaxis]
             forecasts[usable] += correction
+        return forecasts
+
+    def _say_chosen(self, recording: Any, track: Track, rows: Indices) -> Array:
+        """Return what the baselines of each horizon say of some rows."""
+        forecasts = np.full((len(rows), len(self.baselines_), self.n_outputs_), np.nan)
+        for name in {*self.estimators_} - {DIRECT}:
+            at = self.baselines_ == name
+            forecasts[:, at] = self._say(name, recording, track, rows)[:, at]
+        return forecasts
+
+    def _say(self, name: str, recording: Any, track: Track, rows: Indices) -> Array:
+        """Return what one baseline says of some rows, NaN in those without a past."""
+        offsets, embedding, baselines = self._design(self.column_scale_)
+        past = track.embedded(offsets, embedding)
+        is_known = np.isfinite(past[rows]).all(axis=1)
+        said = baselines.say(name, recording, track, past, rows[is_known]).forecasts
+        forecasts = np.full((len(rows), *said.shape[1:]), np.nan)
+        forecasts[is_known] = said
         return forecasts
 
     def _scores(self, X: Any, y: Any) -> list[Array]:

@@ -10,11 +10,11 @@ import numpy as np
 
 from .._utils._typing import Array, Indices, Mask
 from .._utils._validation import check_choice
-from ._analogs import SIMILAR, Analogs, find_analogs
+from ._analogs import SIMILAR, Analogs, AnalogSet, find_analogs
 from ._tracks import Track
 
 DIRECT, LAST, LINEAR, ANALOGS, CUSTOM = "direct", "last", "linear", "analogs", "custom"
-
+BASELINES = (LAST, LINEAR, ANALOGS, CUSTOM)
 
 # What "auto" chooses from.
 CANDIDATES = (DIRECT, LAST, LINEAR, ANALOGS)
@@ -91,16 +91,11 @@ class Baselines:
             forecasts = self._custom(recording, track)[rows]
         return Baseline(forecasts, np.empty((len(rows), 0)))
 
-    def _analogs(self, track: Track, past: Array, rows: Indices) -> Baseline:
-        """Forecast what followed the windows that are most similar to the present.
-
-        The features are the deviations of the embedded states from the weighted mean of
-        those of the analogs.
-        """
-        analogs, horizons = self.analogs, self.horizons
-        # The first set serves the deviation: one for all horizons.
-        follows = np.concatenate([[0], horizons])
-        found = find_analogs(
+    def find(self, track: Track, rows: Indices) -> AnalogSet:
+        """Find the analogs of some rows, first a set that serves all horizons."""
+        analogs = self.analogs
+        follows = np.concatenate([[0], self.horizons])
+        return find_analogs(
             track.states,
             track.piece,
             rows,
@@ -110,6 +105,14 @@ class Baselines:
             max_distance=SIMILAR,
             **analogs.get_params(),
         )
+
+    def _analogs(self, track: Track, past: Array, rows: Indices) -> Baseline:
+        """Forecast what followed the windows that are most similar to the present.
+
+        The features are the deviations of the embedded states from the weighted mean of
+        those of the analogs.
+        """
+        found, horizons = self.find(track, rows), self.horizons
         has_analogs: Mask = found.weights.sum(axis=2) > 0
         forecasts = np.stack(
             [

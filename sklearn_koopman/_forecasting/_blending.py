@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._utils._typing import Array
+from .._utils._typing import Array, Mask
 from ._baselines import DIRECT, LAST
 
 # A baseline that says nothing of more rows than this is chosen for no horizon.
@@ -71,12 +71,10 @@ def blend(left_out: Mapping[str, LeftOut], truth: Array, unit: Array) -> Blend:
         The choice.
     """
     is_known = {
-        name: np.isfinite(forecasts.baseline + forecasts.correction).all(axis=(1, 2))
+        name: _is_known(forecasts.baseline + forecasts.correction)
         for name, forecasts in left_out.items()
     }
-    least = (1 - MAX_SILENT) * max(known.sum() for known in is_known.values())
-    is_known = {name: known for name, known in is_known.items() if known.sum() >= least}
-    rows = np.logical_and.reduce(list(is_known.values()))
+    is_known, rows = _find_common(is_known)
     if not rows.any():
         raise ValueError(
             "no row could be left out: the recordings are too short, or too few; pass "
@@ -148,6 +146,43 @@ def find_stand_ins(
     names[is_better] = DIRECT
     scale = np.where(is_better[:, np.newaxis], direct, last)
     return StandIns(names.astype(str), scale)
+
+
+def compare(said: Mapping[str, Array], truth: Array) -> dict[str, Array]:
+    """Return root mean square errors over the rows that all forecasts speak of.
+
+    Parameters
+    ----------
+    said : dict of str to ndarray of shape (n_rows, n_horizons, n_outputs)
+        The forecasts, NaN where there is none. Those that say too little are left out.
+    truth : ndarray of shape (n_rows, n_horizons, n_outputs)
+        What came, NaN where that is not known.
+
+    Returns
+    -------
+    errors : dict of str to ndarray of shape (n_horizons, n_outputs)
+        The errors of each forecast.
+    """
+    is_known = {name: _is_known(each + truth) for name, each in said.items()}
+    is_known, rows = _find_common(is_known)
+    if not rows.any():
+        raise ValueError(
+            "no row has a forecast, and outputs at all horizons; pass longer "
+            "recordings, or lower horizons and delays."
+        )
+    return {name: rms(said[name][rows] - truth[rows]) for name in is_known}
+
+
+def _is_known(values: Array) -> Mask:
+    """Return which rows are known at all horizons."""
+    return np.asarray(np.isfinite(values).all(axis=(1, 2)))
+
+
+def _find_common(is_known: dict[str, Mask]) -> tuple[dict[str, Mask], Mask]:
+    """Drop forecasts that say too little; return the others, and their common rows."""
+    least = (1 - MAX_SILENT) * max(known.sum() for known in is_known.values())
+    is_known = {name: known for name, known in is_known.items() if known.sum() >= least}
+    return is_known, np.logical_and.reduce(list(is_known.values()))
 
 
 def _weights(offered: Array, wanted: Array) -> Array:

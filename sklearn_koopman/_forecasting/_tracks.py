@@ -10,7 +10,7 @@ from .._utils._clocks import RATE_TOLERANCE
 from .._utils._embedding import embed
 from .._utils._recordings import Recording, read_recordings
 from .._utils._typing import Array, Indices
-from .._utils._validation import check_columns
+from .._utils._validation import check_columns, check_integer
 
 
 class Track(NamedTuple):
@@ -37,6 +37,10 @@ class Track(NamedTuple):
         for number, rows in enumerate(self.pieces):
             numbers[rows] = number
         return numbers
+
+    def without_outputs(self, n_outputs: int) -> "Track":
+        """Return the recording, with so many outputs that are not known."""
+        return self._replace(outputs=np.full((len(self.states), n_outputs), np.nan))
 
     def embedded(self, offsets: Indices, embedding: str) -> Array:
         """Return the past of every row, NaN where it is too short."""
@@ -173,6 +177,41 @@ def check_horizons(horizons: Any) -> Indices:
             f"got {horizons!r}."
         )
     return numbers.astype(np.intp)
+
+
+def pick_start(past: Array, following: Array, start: int | None) -> int:
+    """Return a row to forecast from, by default the last one that can be judged.
+
+    Parameters
+    ----------
+    past : ndarray of shape (n_rows, n_embedded)
+        The past of the rows, NaN where there is no forecast.
+    following : ndarray of shape (n_rows, n_horizons, n_outputs)
+        What came, NaN where that is not known.
+    start : int or None
+        The row that was asked for.
+    """
+    has_past = np.asarray(np.isfinite(past).all(axis=1))
+    if start is not None:
+        check_integer(start, "start", 0)
+        if start >= len(past):
+            raise ValueError(
+                f"start={start} is no row; choose one from 0 to {len(past) - 1}."
+            )
+        if not has_past[start]:
+            raise ValueError(
+                f"start={start} has no forecast, as its past is too short or holds a "
+                "gap; choose another row."
+            )
+        return int(start)
+    judged = has_past & np.isfinite(following).all(axis=(1, 2))
+    rows = np.flatnonzero(judged if judged.any() else has_past)
+    if not len(rows):
+        raise ValueError(
+            "the recording has no forecast, as the past of every row is too short or "
+            "holds a gap; pass a longer one, or fill its gaps by kinematics.fill_gaps."
+        )
+    return int(rows[-1])
 
 
 def as_list(data: Any, name: str) -> list[Any]:
