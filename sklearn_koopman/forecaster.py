@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -23,7 +24,14 @@ from ._forecasting._baselines import (
     Baselines,
     find_candidates,
 )
-from ._forecasting._blending import blend, compare, find_stand_ins, positive, spread
+from ._forecasting._blending import (
+    MAX_SILENT,
+    blend,
+    compare,
+    find_stand_ins,
+    positive,
+    spread,
+)
 from ._forecasting._calibration import (
     GUARANTEES,
     check_coverage,
@@ -289,17 +297,27 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         scale = spread([track.states for track in read.tracks])
         design = self._design(scale)
         table = design.tabulate(as_list(X, "X"), read.tracks)
-        folds = _make_folds(len(read.tracks), design.reach)
+        folds = _make_folds(table.groups, design.reach)
         groups = table.groups if len(read.tracks) > 1 else None
         splits = list(folds.split(table.truth, groups=groups))
-        estimator = self.estimator
-        if estimator is None:
-            estimator = _default_estimator(folds)
+        make_estimator = partial(_make_estimator, self.estimator, design.reach)
+        least_share = 0.0 if len(names) == 1 else 1 - MAX_SILENT
         learned = Parallel(self.n_jobs)(
-            delayed(fit_candidate)(name, design, table, estimator, splits)
+            delayed(fit_candidate)(
+                name, design, table, make_estimator, splits, least_share
+            )
             for name in names
         )
-        candidates = dict(zip(names, learned, strict=True))
+        candidates = {
+            name: each
+            for name, each in zip(names, learned, strict=True)
+            if each is not None
+        }
+        if not candidates:
+            raise ValueError(
+                f"baseline={self.baseline!r} says nothing of any row: the recordings "
+                "are too short for it; pass longer ones, or baseline='auto'."
+            )
         unit = spread([track.outputs for track in read.tracks])
         left_out = {name: each.left_out for name, each in candidates.items()}
         mixture = blend(left_out, table.truth, unit)
@@ -971,15 +989,18 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         check_horizons(self.horizons)
 
 
-def _make_folds(n_recordings: int, gap: int) -> TrajectoryKFold:
+def _make_folds(groups: Indices, gap: int) -> TrajectoryKFold:
     """Return folds that leave out recordings, or blocks of a single one."""
+    n_recordings = len(np.unique(groups))
     if n_recordings > 1:
         return TrajectoryKFold(min(n_recordings, MAX_FOLDS))
     return TrajectoryKFold(MAX_FOLDS, gap=gap)
 
 
-def _default_estimator(folds: TrajectoryKFold) -> Any:
-    """Return what estimator=None stands for."""
+def _make_estimator(estimator: Any, gap: int, groups: Indices) -> Any:
+    """Return the estimator of a forecaster, for rows of these recordings."""
+    if estimator is not None:
+        return estimator
     return make_pipeline(
         StandardScaler(),
         KoopmanKernelRegressorCV(
@@ -988,6 +1009,6 @@ def _default_estimator(folds: TrajectoryKFold) -> Any:
             centers=SeparatedCenterSelector(0, order="farthest", max_centers=N_CENTERS),
             method="least_squares",
             trend="linear",
-            cv=folds,
+            cv=_make_folds(groups, gap),
         ),
     )

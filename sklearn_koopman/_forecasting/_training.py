@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -144,9 +144,10 @@ def fit_candidate(
     name: str,
     design: Design,
     table: Table,
-    estimator: Any,
+    make_estimator: Callable[[Indices], Any],
     splits: Sequence[tuple[Indices, Indices]],
-) -> Candidate:
+    least_share: float,
+) -> Candidate | None:
     """Learn the correction to one baseline.
 
     Parameters
@@ -157,16 +158,19 @@ def fit_candidate(
         How rows are made.
     table : Table
         The rows.
-    estimator : estimator instance
-        What learns. Corrections are scaled to a root mean square of 1 before, so that
-        each horizon and output counts alike.
+    make_estimator : callable
+        Returns what learns, from the numbers of the recordings of its rows. Corrections
+        are scaled to a root mean square of 1 before, so that each horizon and output
+        counts alike.
     splits : sequence of (train, test)
         The rows of the fits that leave rows out.
+    least_share : float
+        The share of the rows of which the baseline has to speak.
 
     Returns
     -------
-    candidate : Candidate
-        What was learned.
+    candidate : Candidate or None
+        What was learned; None if the baseline speaks of no rows, or too few.
     """
     said = [
         design.baselines.say(name, *each)
@@ -181,6 +185,11 @@ def fit_candidate(
         ]
     )
     forecasts = np.concatenate([part.forecasts for part in said])
+    speaks = np.isfinite(np.hstack([features, forecasts.reshape(len(features), -1)]))
+    usable = np.asarray(speaks.all(axis=1))
+    if not usable.any() or usable.mean() < least_share:
+        return None
+    estimator = make_estimator(table.groups[usable])
     _, n_horizons, n_outputs = table.truth.shape
     if is_operator(estimator):
         step = horizon_step(design.baselines.horizons)
