@@ -25,7 +25,7 @@ from ._inputs import find_forecaster, find_output, sorted_horizons
 
 FORECAST, CORRECTED = "forecast", ", corrected"
 # Room above the curves for each row of the legend, as a fraction of their range.
-LEGEND_COLUMNS, HEADROOM = 3, 0.09
+HEADROOM = 0.09
 # What is tried has the same colour alone and corrected.
 BASELINE_COLORS = {
     "direct": COLORS[3],
@@ -200,12 +200,13 @@ class HorizonErrorDisplay(Display):  # numpydoc ignore=PR02
         ax.yaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         ax.yaxis.set_minor_formatter(NullFormatter())
         ax.grid(color="0.9")
+        n_columns = 4 if len(self.errors) <= 4 else 3  # corrections have long names
+        n_rows = -(-len(self.errors) // n_columns)
         low, high = ax.dataLim.intervaly
         if 0 < low < high:
-            n_rows = -(-len(self.errors) // LEGEND_COLUMNS)
             span = high / low
             ax.set_ylim(low / span**0.05, high * span ** (0.05 + HEADROOM * n_rows))
-        ax.legend(loc="upper center", ncols=LEGEND_COLUMNS, fontsize="small")
+        ax.legend(loc="upper center", ncols=n_columns, fontsize="small")
         return self
 
 
