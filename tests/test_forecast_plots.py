@@ -588,11 +588,18 @@ def test_analogs_of_the_last_row(forecaster, walks):
 
 
 def test_curves_stay_below_the_legend(forecaster, walks):
-    display = AnalogDisplay.from_estimator(forecaster, walks[7])
-    display.figure_.canvas.draw()
-    box = display.ax_.get_legend().get_window_extent()
-    low = display.ax_.transData.inverted().transform(box)[0, 1]
-    assert low > np.max(walks[7]["forward"])
+    auto = make_forecaster().fit(walks[:4])
+    for display in (
+        AnalogDisplay.from_estimator(forecaster, walks[7]),
+        HorizonErrorDisplay.from_estimator(forecaster),
+        HorizonErrorDisplay.from_estimator(auto),
+    ):
+        ax = display.ax_
+        display.figure_.canvas.draw()
+        box = ax.get_legend().get_window_extent()
+        assert ax.bbox.x0 < box.x0 < box.x1 < ax.bbox.x1
+        low = ax.transData.inverted().transform(box)[0, 1]
+        assert low > max(np.nanmax(line.get_ydata()) for line in ax.lines[1:])
 
 
 def test_analogs_refuse(forecaster, walks):

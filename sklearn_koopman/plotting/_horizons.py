@@ -24,6 +24,8 @@ from ._display import (
 from ._inputs import find_forecaster, find_output, sorted_horizons
 
 FORECAST, CORRECTED = "forecast", ", corrected"
+# Room above the curves for each row of the legend, as a fraction of their range.
+HEADROOM = 0.09
 # What is tried has the same colour alone and corrected.
 BASELINE_COLORS = {
     "direct": COLORS[3],
@@ -198,7 +200,13 @@ class HorizonErrorDisplay(Display):  # numpydoc ignore=PR02
         ax.yaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         ax.yaxis.set_minor_formatter(NullFormatter())
         ax.grid(color="0.9")
-        ax.legend(fontsize="small")
+        n_columns = 4 if len(self.errors) <= 4 else 3  # corrections have long names
+        n_rows = -(-len(self.errors) // n_columns)
+        low, high = ax.dataLim.intervaly
+        if 0 < low < high:
+            span = high / low
+            ax.set_ylim(low / span**0.05, high * span ** (0.05 + HEADROOM * n_rows))
+        ax.legend(loc="upper center", ncols=n_columns, fontsize="small")
         return self
 
 
