@@ -8,7 +8,6 @@ from typing import Any, Self
 
 import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin, clone
-from sklearn.metrics import r2_score
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils import Bunch, Tags
@@ -16,6 +15,7 @@ from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
 
 from ._forecasting._analogs import Analogs
+from ._forecasting._bands import bands_about, bands_of_models, usable_scores
 from ._forecasting._baselines import (
     ANALOGS,
     BASELINES,
@@ -32,19 +32,7 @@ from ._forecasting._blending import (
     positive,
     spread,
 )
-from ._forecasting._calibration import (
-    GUARANTEES,
-    check_coverage,
-    check_level,
-    count_units,
-    expected_quantile,
-    largest_scores,
-    minmax_band,
-    mixture_quantile,
-    plus_band,
-    pooled_quantile,
-    symmetric_band,
-)
+from ._forecasting._calibration import GUARANTEES
 from ._forecasting._corrections import Ahead, is_operator, predict_rows
 from ._forecasting._tracks import (
     Seen,
@@ -67,13 +55,6 @@ from .trajectories import TrajectoryKFold
 __all__ = ["Analogs", "KoopmanForecaster"]
 
 MAX_FOLDS = 5
-# Methods of bands whose half width is a quantile of scores.
-QUANTILES: dict[str, Callable[..., Array]] = {
-    "draws": expected_quantile,
-    "mixture": mixture_quantile,
-    "pooled": lambda scores, _, coverage: pooled_quantile(scores, coverage),
-}
-BANDS = {"plus": plus_band, "minmax": minmax_band}
 # Of the estimator that None stands for.
 N_CENTERS = 300
 ALPHAS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
@@ -577,19 +558,7 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         if weights is None:
             weights = np.ones(len(forecasts))
         of_rows = np.repeat(weights, [len(each) for each in forecasts])
-        predicted, came = np.concatenate(forecasts), np.concatenate(truth)
-        is_scored = np.isfinite(predicted + came) & (of_rows > 0)[:, None, None]
-        if is_scored.sum(axis=0).min() < 2:
-            raise ValueError(
-                "no two rows have both a forecast and outputs that came, at some "
-                "horizon; score longer recordings, or with larger weights."
-            )
-        scores = []
-        for horizon, output in np.ndindex(predicted.shape[1:]):
-            rows = is_scored[:, horizon, output]
-            pair = came[rows, horizon, output], predicted[rows, horizon, output]
-            scores.append(r2_score(*pair, sample_weight=of_rows[rows]))
-        return float(np.mean(scores))
+        return mean_r2(np.concatenate(forecasts), np.concatenate(truth), of_rows)
 
     def conformalize(
         self, X: Any, y: Any = None, *, groups: Any = None, method: str = "draws"
@@ -901,7 +870,7 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
     def _bands(
         self, X: Any, coverage: float, simultaneous: bool, *, last_only: bool = False
     ) -> Iterator[tuple[Array, Array]]:
-        """Yield the forecasts and the intervals of each recording."""
+        """Return the forecasts and the intervals of each recording."""
         check_is_fitted(self)
         check_flag(simultaneous, "simultaneous")
         if not hasattr(self, "calibration_"):
@@ -911,27 +880,14 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
                 "calibration."
             )
         made = self.calibration_
-        scores = largest_scores(made.scores) if simultaneous else made.scores
-        if made.method == "pooled":
-            check_level(coverage)
-        else:
-            check_coverage(coverage, count_units(scores, made.units))
-        if made.method in QUANTILES:
-            quantile: Array = QUANTILES[made.method](scores, made.units, coverage)
-            for forecasts, scale in self._predict(X, last_only=last_only):
-                yield forecasts, symmetric_band(forecasts, quantile * scale)
-            return
+        scores = usable_scores(made, coverage, simultaneous)
+        pairs = self._predict(X, last_only=last_only)
+        if not hasattr(self, "fold_estimators_"):
+            return bands_about(pairs, made, scores, coverage)
         by_model = [
-            list(model._predict(X, last_only=last_only))
-            for model in self.fold_estimators_
+            model._predict(X, last_only=last_only) for model in self.fold_estimators_
         ]
-        whole = self._predict(X, last_only=last_only)
-        for (forecasts, _), *pairs in zip(whole, *by_model, strict=True):
-            predictions, scale = map(np.stack, zip(*pairs, strict=True))
-            band = BANDS[made.method](
-                predictions, scores, made.units, made.models, scale, coverage
-            )
-            yield forecasts, band
+        return bands_of_models(pairs, by_model, made, scores, coverage)
 
     def _following(self, X: Any, y: Any) -> list[Array]:
         """Return what came at each horizon, NaN where that is not known."""

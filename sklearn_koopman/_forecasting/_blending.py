@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from sklearn.metrics import r2_score
 
 from .._utils._typing import Array, Mask
 from ._baselines import DIRECT, LAST
@@ -204,3 +205,36 @@ def spread(arrays: Sequence[Array]) -> Array:
 def positive(values: Array) -> Array:
     """Return what can be divided by."""
     return np.where(values > 0, values, 1.0)
+
+
+def mean_r2(forecasts: Array, truth: Array, weights: Array) -> float:
+    """Return R², averaged over horizons and outputs.
+
+    Parameters
+    ----------
+    forecasts : ndarray of shape (n_rows, n_horizons, n_outputs)
+        NaN where there is none.
+    truth : ndarray of shape (n_rows, n_horizons, n_outputs)
+        What came, NaN where that is not known.
+    weights : ndarray of shape (n_rows,)
+        The weight of each row.
+
+    Returns
+    -------
+    score : float
+        Over the rows of positive weight that have both.
+    """
+    is_scored = (
+        np.isfinite(forecasts + truth) & (weights > 0)[:, np.newaxis, np.newaxis]
+    )
+    if np.count_nonzero(is_scored, axis=0).min() < 2:
+        raise ValueError(
+            "at some horizon no two rows have both a forecast and outputs that came; "
+            "score longer recordings, or with positive weights."
+        )
+    scores = []
+    for horizon, output in np.ndindex(truth.shape[1:]):
+        rows = is_scored[:, horizon, output]
+        pair = truth[rows, horizon, output], forecasts[rows, horizon, output]
+        scores.append(r2_score(*pair, sample_weight=weights[rows]))
+    return float(np.mean(scores))
