@@ -316,6 +316,19 @@ def test_no_row_looks_ahead(name, row, recordings, fitted):
     )
 
 
+def test_no_analog_is_nearer_than_its_horizon(recordings):
+    """A period is 18 rows: what follows the last analog by 40 is not known yet."""
+    forecaster = make_forecaster(baseline=Analogs(window=5), horizons=[2, 40])
+    forecaster.fit(recordings[1:])
+    now = recordings[0]
+    other = now.copy()
+    other[61:] += np.random.default_rng(1).normal(size=other[61:].shape)
+    a, b = forecaster.predict_baseline([now, other])
+    assert_array_equal(a[:61], b[:61])
+    assert np.isfinite(a[60]).all()
+    assert_allclose(*(f[:61] for f in forecaster.predict([now, other])), rtol=1e-9)
+
+
 @pytest.mark.parametrize("name", BASELINES)
 def test_no_forecast_crosses_a_gap(name, recordings, fitted):
     """Those around it are those of the pieces, joined for analogs of both."""
