@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any, Self
@@ -11,29 +12,15 @@ from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils import Bunch, Tags
-from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
 
 from ._forecasting._analogs import Analogs
 from ._forecasting._bands import bands_about, bands_of_models, usable_scores
-from ._forecasting._baselines import (
-    ANALOGS,
-    BASELINES,
-    DIRECT,
-    LAST,
-    Baselines,
-    find_candidates,
-)
-from ._forecasting._blending import (
-    MAX_SILENT,
-    blend,
-    compare,
-    find_stand_ins,
-    positive,
-    spread,
-)
+from ._forecasting._baselines import ANALOGS, BASELINES, Baselines, find_candidates
+from ._forecasting._blending import compare, mean_r2, positive, spread
 from ._forecasting._calibration import GUARANTEES
-from ._forecasting._corrections import Ahead, is_operator, predict_rows
+from ._forecasting._corrections import is_operator
+from ._forecasting._mixture import Mixture
 from ._forecasting._tracks import (
     Seen,
     Track,
@@ -42,12 +29,12 @@ from ._forecasting._tracks import (
     pick_start,
     read_tracks,
 )
-from ._forecasting._training import Design, fit_candidate, horizon_step
+from ._forecasting._training import Design, train
 from ._forecasting._units import as_units, split_units, take
 from ._utils._embedding import EMBEDDINGS, check_offsets
 from ._utils._typing import Array, Indices
 from ._utils._validation import check_choice, check_flag, check_sample_weight
-from ._utils._warnings import warn
+from ._utils._warnings import ExtrapolationWarning, warn
 from .centers import SeparatedCenterSelector
 from .search import KoopmanKernelRegressorCV
 from .trajectories import TrajectoryKFold
@@ -130,6 +117,10 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         What stands in where there is no analog: "last", or with "auto" also "direct".
     stand_in_scale_ : ndarray of shape (n_horizons, n_outputs)
         The root mean square errors of that.
+    horizons_ : ndarray of int of shape (n_horizons,)
+        The horizons.
+    offsets_ : ndarray of int of shape (n_offsets,)
+        The ages of the samples of a state.
     column_scale_ : ndarray of shape (n_features_in_,)
         The standard deviation of each column in training.
     calibration_ : :class:`~sklearn.utils.Bunch`
@@ -271,53 +262,36 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
             If angles wrap. Encode them by
             :class:`~sklearn_koopman.kinematics.RotationEncoder`.
         """
-        self._check_parameters()
+        check_choice(self.embedding, "embedding", EMBEDDINGS)
+        offsets = check_offsets(self.delays, None)
+        horizons = check_horizons(self.horizons)
         has_powers = self.estimator is not None and is_operator(self.estimator)
         names = find_candidates(self.baseline, y is not None, has_powers)
         read = read_tracks(X, y, self.targets)
         scale = spread([track.states for track in read.tracks])
-        design = self._design(scale)
+        design = self._design(offsets, horizons, scale)
         table = design.tabulate(as_list(X, "X"), read.tracks)
-        folds = _make_folds(table.groups, design.reach)
-        groups = table.groups if len(read.tracks) > 1 else None
-        splits = list(folds.split(table.truth, groups=groups))
-        make_estimator = partial(_make_estimator, self.estimator, design.reach)
-        least_share = 0.0 if len(names) == 1 else 1 - MAX_SILENT
-        learned = Parallel(self.n_jobs)(
-            delayed(fit_candidate)(
-                name, design, table, make_estimator, splits, least_share
-            )
-            for name in names
+        learned = train(
+            names,
+            design,
+            table,
+            partial(_make_estimator, self.estimator, design.reach),
+            _make_folds(table.groups, design.reach),
+            spread([track.outputs for track in read.tracks]),
+            self.n_jobs,
         )
-        candidates = {
-            name: each
-            for name, each in zip(names, learned, strict=True)
-            if each is not None
-        }
-        if not candidates:
-            raise ValueError(
-                f"baseline={self.baseline!r} says nothing of any row: the recordings "
-                "are too short for it; pass longer ones, or baseline='auto'."
-            )
-        unit = spread([track.outputs for track in read.tracks])
-        left_out = {name: each.left_out for name, each in candidates.items()}
-        mixture = blend(left_out, table.truth, unit)
-        stand_ins = find_stand_ins(left_out, table.truth, table.current, unit)
-        chosen = {*mixture.names.tolist()}
-        if ANALOGS in chosen:
-            chosen |= {*stand_ins.names.tolist()} - {LAST}
         for name in ("calibration_", "fold_estimators_", "feature_names_in_"):
             self.__dict__.pop(name, None)
-        self.estimators_ = {name: candidates[name].fitted for name in sorted(chosen)}
-        self.correction_scales_ = {
-            name: candidates[name].scale for name in self.estimators_
-        }
-        self.baselines_ = mixture.names
-        self.horizon_weights_ = mixture.weights
-        self.left_out_errors_ = mixture.errors
-        self.error_scale_ = positive(mixture.scale)
-        self.stand_ins_ = stand_ins.names
-        self.stand_in_scale_ = positive(stand_ins.scale)
+        self.estimators_ = learned.estimators
+        self.correction_scales_ = learned.scales
+        self.baselines_ = learned.blend.names
+        self.horizon_weights_ = learned.blend.weights
+        self.left_out_errors_ = learned.blend.errors
+        self.error_scale_ = positive(learned.blend.scale)
+        self.stand_ins_ = learned.stand_ins.names
+        self.stand_in_scale_ = positive(learned.stand_ins.scale)
+        self.horizons_ = horizons
+        self.offsets_ = offsets
         self.column_scale_ = scale
         self.n_outputs_ = table.truth.shape[2]
         self.output_names_ = np.array(read.output_names, dtype=object)
@@ -371,9 +345,9 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         ValueError
             If the recordings are not like those of `fit`.
         """
-        check_is_fitted(self)
+        mixture = self._mixture()
         return [
-            self._say_chosen(recording, track, np.arange(len(track.states)))
+            mixture.say_chosen(recording, track, np.arange(len(track.states)))
             for recording, track in self._read(X)
         ]
 
@@ -452,13 +426,13 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         ValueError
             If the recordings are not like those of `fit`, or have no such rows.
         """
-        check_is_fitted(self)
+        mixture = self._mixture()
         truth = np.concatenate(self._following(X, y))
         said = {"forecast": np.concatenate(self.predict(X))}
         for name in BASELINES:
             if name in self.left_out_errors_:
                 parts = [
-                    self._say(name, recording, track, np.arange(len(track.states)))
+                    mixture.say(name, recording, track, np.arange(len(track.states)))
                     for recording, track in self._read(X)
                 ]
                 said[name] = np.concatenate(parts)
@@ -514,7 +488,8 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         outputs = None if y is None else [y]
         (came,) = self._following([recording], outputs)
         ((_, track),) = self._read([recording], outputs)
-        design = self._design(self.column_scale_)
+        mixture = self._mixture()
+        design = mixture.design
         past = track.embedded(design.offsets, design.embedding)
         start = pick_start(past, came, start)
         rows = np.array([start])
@@ -523,8 +498,8 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         return Bunch(
             start=start,
             outputs=track.outputs,
-            forecast=self._predict_rows(design, recording, track, rows)[0][0],
-            baseline=self._say_chosen(recording, track, rows)[0],
+            forecast=mixture.forecast(recording, track, rows)[0][0],
+            baseline=mixture.say_chosen(recording, track, rows)[0],
             window=design.baselines.analogs.window,
             analogs=np.where(has_analogs, found.places[0, 1:], -1),
             weights=np.where(has_analogs, found.weights[0, 1:], 0.0),
@@ -667,11 +642,13 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         folds = split_units(units, cv)
         models, scores = [], [np.empty(0)] * len(recordings)
         model_of = np.zeros(len(np.unique(units)), dtype=np.intp)
-        for number, (train, test) in enumerate(folds):
-            model = clone(self).fit(*take(recordings, y, train))
-            for place, part in zip(
-                test, model._scores(*take(recordings, y, test)), strict=True
-            ):
+        for number, (kept, test) in enumerate(folds):
+            model = clone(self).fit(*take(recordings, y, kept))
+            with warnings.catch_warnings():
+                # A person left out may well be far from the others.
+                warnings.simplefilter("ignore", ExtrapolationWarning)
+                parts = model._scores(*take(recordings, y, test))
+            for place, part in zip(test, parts, strict=True):
                 scores[place] = part
             models.append(model)
             model_of[units[test]] = number
@@ -771,93 +748,24 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         self, X: Any, *, last_only: bool = False
     ) -> Iterator[tuple[Array, Array]]:
         """Yield the forecasts of each recording, and the scale of their errors."""
-        check_is_fitted(self)
-        design = self._design(self.column_scale_)
+        mixture = self._mixture()
         for recording, track in self._read(X):
             rows = np.arange(len(track.states))[-1 if last_only else 0 :]
-            yield self._predict_rows(design, recording, track, rows)
+            yield mixture.forecast(recording, track, rows)
 
-    def _predict_rows(
-        self, design: Design, recording: Any, track: Track, rows: Indices
-    ) -> tuple[Array, Array]:
-        """Return the forecasts of some rows, and the scale of their errors."""
-        past, horizons = track.embedded(*design[:2]), design.baselines.horizons
-        is_known = np.isfinite(past[rows]).all(axis=1)
-        shape = (len(rows), len(horizons), self.n_outputs_)
-        forecasts, scale = np.full(shape, np.nan), np.empty(shape)
-        scale[:] = self.error_scale_
-        known = rows[is_known]
-        said, of_rows = forecasts[is_known], scale[is_known]
-        for name in np.unique(self.baselines_):
-            at = self.baselines_ == name
-            said[:, at] = self._correct(name, design, recording, track, past, known)[
-                :, at
-            ]
-        has_analogs = np.array([name == ANALOGS for name in self.baselines_])
-        is_lost = np.isnan(said) & has_analogs[:, np.newaxis]
-        if is_lost.any():  # there is no analog yet
-            instead = np.broadcast_to(
-                track.outputs[known, np.newaxis], said.shape
-            ).copy()
-            at = self.stand_ins_ == DIRECT
-            if at.any():
-                some = np.flatnonzero(is_lost.any(axis=(1, 2)))
-                by_itself = self._correct(
-                    DIRECT, design, recording, track, past, known[some]
-                )
-                instead[np.ix_(some, at)] = by_itself[:, at]
-            said = np.where(is_lost, instead, said)
-            of_rows = np.where(is_lost, self.stand_in_scale_, of_rows)
-        forecasts[is_known], scale[is_known] = said, of_rows
-        return forecasts, scale
-
-    def _correct(
-        self,
-        name: str,
-        design: Design,
-        recording: Any,
-        track: Track,
-        past: Array,
-        rows: Indices,
-    ) -> Array:
-        """Return what a baseline says of some rows, with as much correction as helps.
-
-        NaN in rows where it says nothing.
-        """
-        fitted, horizons = self.estimators_[name], design.baselines.horizons
-        baseline = design.baselines.say(name, recording, track, past, rows)
-        features = np.hstack([past[rows], baseline.features])
-        usable = np.flatnonzero(np.isfinite(features).all(axis=1))
-        forecasts = np.full(baseline.forecasts.shape, np.nan)
-        forecasts[usable] = baseline.forecasts[usable]
-        if len(usable):
-            step = horizon_step(horizons) if is_operator(fitted) else 1
-            ahead = Ahead(horizons // step, self.n_outputs_)
-            correction = self.correction_scales_[name] * predict_rows(
-                fitted, features[usable], ahead
-            )
-            if name != DIRECT:
-                correction *= self.horizon_weights_[:, np.newaxis]
-            forecasts[usable] += correction
-        return forecasts
-
-    def _say_chosen(self, recording: Any, track: Track, rows: Indices) -> Array:
-        """Return what the baselines of each horizon say of some rows."""
-        forecasts = np.full((len(rows), len(self.baselines_), self.n_outputs_), np.nan)
-        for name in {*self.estimators_} - {DIRECT}:
-            at = self.baselines_ == name
-            forecasts[:, at] = self._say(name, recording, track, rows)[:, at]
-        return forecasts
-
-    def _say(self, name: str, recording: Any, track: Track, rows: Indices) -> Array:
-        """Return what one baseline says of some rows, NaN in those without a past."""
-        offsets, embedding, baselines = self._design(self.column_scale_)
-        past = track.embedded(offsets, embedding)
-        is_known = np.isfinite(past[rows]).all(axis=1)
-        said = baselines.say(name, recording, track, past, rows[is_known]).forecasts
-        forecasts = np.full((len(rows), *said.shape[1:]), np.nan)
-        forecasts[is_known] = said
-        return forecasts
+    def _mixture(self) -> Mixture:
+        """Return what was learned and chosen."""
+        check_is_fitted(self)
+        return Mixture(
+            self._design(self.offsets_, self.horizons_, self.column_scale_),
+            self.estimators_,
+            self.correction_scales_,
+            self.baselines_,
+            self.horizon_weights_,
+            self.error_scale_,
+            self.stand_ins_,
+            self.stand_in_scale_,
+        )
 
     def _scores(self, X: Any, y: Any) -> list[Array]:
         """Return the sizes of the errors of each recording, in units of their scale."""
@@ -896,7 +804,7 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
             raise ValueError(
                 f"fit {had} given y; pass the outputs here in the same way."
             )
-        horizons = check_horizons(self.horizons)
+        horizons = self.horizons_
         return [track.following(horizons) for _, track in self._read(X, y)]
 
     def _read(self, X: Any, y: Any = None) -> list[tuple[Any, Track]]:
@@ -918,7 +826,7 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         """Warn of recordings whose last row has no forecast."""
         empty = np.flatnonzero(np.isnan(forecasts).all(axis=(1, 2)))
         if len(empty):
-            n_rows = check_offsets(self.delays, None)[-1] + 1
+            n_rows = self.offsets_[-1] + 1
             warn(
                 f"{len(empty)} of {len(forecasts)} recordings have no forecast, the "
                 f"first is X[{empty[0]}]: their last {n_rows} rows hold a gap, or are "
@@ -926,23 +834,16 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
                 "before a gap."
             )
 
-    def _design(self, scale: Array) -> Design:
+    def _design(self, offsets: Indices, horizons: Indices, scale: Array) -> Design:
         """Return how rows are made."""
-        offsets = check_offsets(self.delays, None)
         given = self.baseline if isinstance(self.baseline, Analogs) else Analogs()
         baselines = Baselines(
-            check_horizons(self.horizons),
+            horizons,
             given.resolve(offsets),
             scale,
             self.baseline if callable(self.baseline) else None,
         )
         return Design(offsets, self.embedding, baselines)
-
-    def _check_parameters(self) -> None:
-        """Refuse parameters outside their range."""
-        check_choice(self.embedding, "embedding", EMBEDDINGS)
-        check_offsets(self.delays, None)
-        check_horizons(self.horizons)
 
 
 def _make_folds(groups: Indices, gap: int) -> TrajectoryKFold:

@@ -163,7 +163,7 @@ def find_candidates(
     """
     if isinstance(baseline, Analogs):
         names: tuple[str, ...] = (ANALOGS,)
-    elif callable(baseline):
+    elif callable(baseline) and not isinstance(baseline, type):
         names = (CUSTOM,)
     else:
         check_choice(baseline, "baseline", (None, "auto", LAST, LINEAR, ANALOGS))

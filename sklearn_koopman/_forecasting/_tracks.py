@@ -38,10 +38,6 @@ class Track(NamedTuple):
             numbers[rows] = number
         return numbers
 
-    def without_outputs(self, n_outputs: int) -> "Track":
-        """Return the recording, with so many outputs that are not known."""
-        return self._replace(outputs=np.full((len(self.states), n_outputs), np.nan))
-
     def embedded(self, offsets: Indices, embedding: str) -> Array:
         """Return the past of every row, NaN where it is too short."""
         width = len(offsets) * self.states.shape[1]

@@ -6,10 +6,11 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from sklearn.utils.parallel import Parallel, delayed
 
 from .._utils._typing import Array, Indices
-from ._baselines import Baselines
-from ._blending import LeftOut
+from ._baselines import ANALOGS, LAST, Baselines
+from ._blending import MAX_SILENT, Blend, LeftOut, StandIns, blend, find_stand_ins
 from ._corrections import Ahead, Rows, is_operator, learn
 from ._tracks import Track
 
@@ -138,6 +139,89 @@ class Candidate(NamedTuple):
     fitted: Any
     scale: Array
     left_out: LeftOut
+
+
+class Learned(NamedTuple):
+    """What was learned for the baselines that are used, and how they are mixed.
+
+    Attributes
+    ----------
+    estimators : dict of str to estimator
+        The fits.
+    scales : dict of str to ndarray of shape (n_horizons, n_outputs)
+        What their predictions are multiplied by.
+    blend : Blend
+        The baselines and weights of each horizon.
+    stand_ins : StandIns
+        What is forecast where there is no analog.
+    """
+
+    estimators: dict[str, Any]
+    scales: dict[str, Array]
+    blend: Blend
+    stand_ins: StandIns
+
+
+def train(
+    names: Sequence[str],
+    design: Design,
+    table: Table,
+    make_estimator: Callable[[Indices], Any],
+    folds: Any,
+    unit: Array,
+    n_jobs: int | None,
+) -> Learned:
+    """Learn the corrections to some baselines, and choose from them at each horizon.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The baselines.
+    design : Design
+        How rows are made.
+    table : Table
+        The rows.
+    make_estimator : callable
+        Returns what learns, from the numbers of the recordings of its rows.
+    folds : splitter
+        Which rows are left out, by recordings if there are several.
+    unit : ndarray of shape (n_outputs,)
+        The unit of each output.
+    n_jobs : int or None
+        Number of jobs.
+
+    Returns
+    -------
+    learned : Learned
+        What was learned.
+    """
+    groups = table.groups if len(table.tracks) > 1 else None
+    splits = list(folds.split(table.truth, groups=groups))
+    least_share = 0.0 if len(names) == 1 else 1 - MAX_SILENT
+    fits = Parallel(n_jobs)(
+        delayed(fit_candidate)(name, design, table, make_estimator, splits, least_share)
+        for name in names
+    )
+    candidates = {
+        name: fit for name, fit in zip(names, fits, strict=True) if fit is not None
+    }
+    if not candidates:
+        raise ValueError(
+            f"the baseline {names[0]!r} says nothing of any row: the recordings are "
+            "too short for it; pass longer ones, or baseline='auto'."
+        )
+    left_out = {name: each.left_out for name, each in candidates.items()}
+    mixed = blend(left_out, table.truth, unit)
+    stand_ins = find_stand_ins(left_out, table.truth, table.current, unit)
+    used = {*mixed.names.tolist()}
+    if ANALOGS in used:
+        used |= {*stand_ins.names.tolist()} - {LAST}
+    return Learned(
+        {name: candidates[name].fitted for name in sorted(used)},
+        {name: candidates[name].scale for name in sorted(used)},
+        mixed,
+        stand_ins,
+    )
 
 
 def fit_candidate(
