@@ -6,17 +6,25 @@ from typing import TYPE_CHECKING, Any
 from ._utils._warnings import ExtrapolationWarning
 from .centers import SeparatedCenterSelector
 from .edmd import KernelEDMD, forecast
+from .forecaster import Analogs, KoopmanForecaster
 from .regression import KoopmanKernelRegressor
-from .scoring import make_forecast_scorer, make_valid_time_scorer
+from .scoring import make_forecast_scorer, make_horizon_scorer, make_valid_time_scorer
 from .search import KoopmanKernelRegressorCV
-from .trajectories import TrajectoryKFold, current_states, trajectory_pairs
+from .trajectories import (
+    TrajectoryKFold,
+    current_states,
+    join_recordings,
+    trajectory_pairs,
+)
 
 if TYPE_CHECKING:
     from . import datasets, diagnostics, kinematics, plotting
 
 __all__ = [
+    "Analogs",
     "ExtrapolationWarning",
     "KernelEDMD",
+    "KoopmanForecaster",
     "KoopmanKernelRegressor",
     "KoopmanKernelRegressorCV",
     "SeparatedCenterSelector",
@@ -25,8 +33,10 @@ __all__ = [
     "datasets",
     "diagnostics",
     "forecast",
+    "join_recordings",
     "kinematics",
     "make_forecast_scorer",
+    "make_horizon_scorer",
     "make_valid_time_scorer",
     "plotting",
     "trajectory_pairs",

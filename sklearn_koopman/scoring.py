@@ -16,17 +16,27 @@ from sklearn.utils.metadata_routing import MetadataRequest
 
 from ._utils._frames import index_level
 from ._utils._labels import order_of_labels
-from ._utils._pipeline import find_operator, transformed
-from ._utils._typing import Array, Indices
-from ._utils._validation import check_flag, check_integer, check_number, refuse_masked
+from ._utils._pipeline import find_operator, transformed, unwrap
+from ._utils._recordings import read_recordings
+from ._utils._typing import Array, Indices, Mask
+from ._utils._validation import (
+    as_floats,
+    check_flag,
+    check_integer,
+    check_number,
+    check_sample_weight,
+    refuse_masked,
+)
 from ._utils._warnings import ExtrapolationWarning
 from .trajectories import match_successors, successor_rows
 
 __all__ = [
     "ForecastScorer",
     "HorizonErrorScorer",
+    "RecordingErrorScorer",
     "ValidTimeScorer",
     "make_forecast_scorer",
+    "make_horizon_scorer",
     "make_valid_time_scorer",
 ]
 
@@ -182,6 +192,74 @@ def make_valid_time_scorer(
     check_number(tolerance, "tolerance", positive=True)
     check_flag(relift, "relift")
     return ValidTimeScorer(n_steps, relift, float(tolerance))
+
+
+def make_horizon_scorer(
+    start: int, *, horizon: int | None = None
+) -> RecordingErrorScorer:
+    """Make a scorer of the errors of a forecaster of whole recordings.
+
+    The score is minus the root mean square error, in the unit of the outputs. The mean
+    runs over the rows from `start` on whose outputs came, then over outputs and
+    horizons, which count alike.
+
+    New in version 0.1.
+
+    Parameters
+    ----------
+    start : int
+        The first row of a recording that is scored; after a gap, rows count anew. The
+        largest delay of all candidates of a search, at least: longer pasts have fewer
+        forecasts, and candidates are compared on the same rows. More, to leave out the
+        beginning of recordings, where there are no analogs yet.
+    horizon : int, default=None
+        The one of the forecaster's `horizons` that is scored; None takes all.
+
+    Returns
+    -------
+    scorer : RecordingErrorScorer
+        A callable ``scorer(estimator, X, y=None, sample_weight=None)`` for a fitted
+        :class:`~sklearn_koopman.KoopmanForecaster`, or a pipeline or search that ends
+        in one. Pass it as `scoring` to :class:`~sklearn.model_selection.GridSearchCV`
+        and the like. `sample_weight` is one number a recording. It reaches the scorer
+        if metadata routing is enabled.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is outside its range. The scorer raises one if a row from `start`
+        on has no forecast, which the message says how to mend; if no row can be scored
+        at some horizon; and where :meth:`KoopmanForecaster.errors` raises. Searches
+        give such a candidate their `error_score`, and warn.
+
+    See Also
+    --------
+    sklearn_koopman.KoopmanForecaster : What is scored; its own score is R².
+
+    Examples
+    --------
+    Choose the delays by persons left out, 0.1 s ahead:
+
+    >>> import numpy as np
+    >>> from sklearn.linear_model import Ridge
+    >>> from sklearn.model_selection import GridSearchCV, GroupKFold
+    >>> from sklearn_koopman import KoopmanForecaster, make_horizon_scorer
+    >>> from sklearn_koopman.datasets import make_walking
+    >>> walks = make_walking(6, n_strides=3, rate=50, random_state=0)
+    >>> X = [np.hstack(pair) for pair in zip(walks.trajectories, walks.outputs)]
+    >>> search = GridSearchCV(
+    ...     KoopmanForecaster(Ridge(), targets=[2, 3], horizons=[5, 10], baseline=None),
+    ...     {"delays": [(0,), (0, 2, 4), (0, 5, 10)]},
+    ...     scoring=make_horizon_scorer(10, horizon=5),
+    ...     cv=GroupKFold(3),
+    ... )
+    >>> search.fit(X, groups=[0, 0, 1, 1, 2, 2]).best_params_
+    {'delays': (0, 2, 4)}
+    """
+    check_integer(start, "start", 0)
+    if horizon is not None:
+        check_integer(horizon, "horizon", 1)
+    return RecordingErrorScorer(start, horizon)
 
 
 @dataclass(frozen=True)
@@ -361,6 +439,144 @@ class ValidTimeScorer(ForecastScorer):
         # Comparisons with NaN are false: forecasts that end count as errors.
         within = squared <= self.tolerance**2
         return float(np.logical_and.accumulate(within, axis=1).sum(axis=1).mean())
+
+
+@dataclass(frozen=True)
+class RecordingErrorScorer:
+    """Scorer of forecasts of whole recordings; see :func:`make_horizon_scorer`.
+
+    Attributes
+    ----------
+    start : int
+        The first row of a recording, or after a gap, that is scored.
+    horizon : int or None
+        The horizon, in samples; None stands for all.
+
+    See Also
+    --------
+    make_horizon_scorer : Makes one, with checks of the parameters.
+    """
+
+    start: int
+    horizon: int | None
+
+    def __call__(
+        self, estimator: Any, X: Any, y: Any = None, sample_weight: Any = None
+    ) -> float:
+        """Score a fitted forecaster on recordings that were held out.
+
+        Parameters
+        ----------
+        estimator : KoopmanForecaster or Pipeline
+            The fitted estimator.
+        X : list of array-like of shape (n_rows, n_features)
+            The recordings.
+        y : list of array-like, default=None
+            The outputs, if `fit` was given some.
+        sample_weight : array-like of shape (n_recordings,), default=None
+            The weight of each recording; each of its rows has it.
+
+        Returns
+        -------
+        score : float
+            The score; greater is better.
+
+        Raises
+        ------
+        TypeError
+            If the estimator is no forecaster of recordings.
+        ValueError
+            If a row has no forecast, if no row can be scored at some horizon, or where
+            :meth:`KoopmanForecaster.errors` raises.
+        """
+        forecaster, front = unwrap(estimator)
+        if not hasattr(forecaster, "errors"):
+            raise TypeError(
+                f"{type(forecaster).__name__} has no method errors; score a "
+                "KoopmanForecaster, or a pipeline or fitted search that ends in one."
+            )
+        X = transformed(front, X)
+        errors = forecaster.errors(X, y)
+        weights = check_sample_weight(sample_weight, len(errors))
+        if weights is None:
+            weights = np.ones(len(errors))
+        columns, horizons = self._find_horizons(forecaster.horizons)
+        squares = np.concatenate(self._score_rows(X, y, errors, columns, horizons)) ** 2
+        of_rows = np.repeat(weights, [len(each) for each in errors])[:, None, None]
+        mass = np.sum(of_rows * np.isfinite(squares), axis=0)
+        if np.min(mass) == 0:
+            horizon = horizons[np.min(mass, axis=1).argmin()]
+            raise ValueError(
+                f"no row from start={self.start} on has outputs that came {horizon} "
+                "rows later; lower start, or score longer recordings."
+            )
+        return -float(np.sqrt(np.mean(np.nansum(of_rows * squares, axis=0) / mass)))
+
+    def get_metadata_routing(self) -> MetadataRequest:
+        """Request `sample_weight`, one number a recording.
+
+        Returns
+        -------
+        routing : MetadataRequest
+            The request.
+        """
+        request = MetadataRequest(owner=self)
+        request.score.add_request(param="sample_weight", alias=True)
+        return request
+
+    def _find_horizons(self, horizons: Any) -> tuple[Indices, Indices]:
+        """Return the places of the horizons that are scored, and themselves."""
+        known = np.asarray(horizons)
+        columns = np.arange(len(known))
+        if self.horizon is not None:
+            columns = np.flatnonzero(known == self.horizon)
+            if not len(columns):
+                raise ValueError(
+                    f"horizon={self.horizon} is none of the forecaster's horizons, "
+                    f"{known.tolist()}; name one of them."
+                )
+        return columns, known[columns]
+
+    def _score_rows(
+        self, X: Any, y: Any, errors: list[Array], columns: Indices, horizons: Indices
+    ) -> list[Array]:
+        """Return errors, NaN where none is scored; refuse them in scored rows."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the forecaster has read them, too
+            read = read_recordings(X, None, gaps="split", rates=None, resample=None)
+        scored = []
+        for number, (recording, each) in enumerate(
+            zip(read.recordings, errors, strict=True)
+        ):
+            place, came = _find_outcomes(recording.pieces, len(each), horizons)
+            came = np.repeat(came[:, :, np.newaxis], each.shape[2], axis=2)
+            if y is not None:
+                outputs = as_floats(y[number], f"y[{number}]").reshape(len(each), -1)
+                for column, horizon in enumerate(horizons):
+                    ahead = np.isfinite(outputs[horizon:])
+                    came[: len(ahead), column] &= ahead
+            came &= (place >= self.start)[:, np.newaxis, np.newaxis]
+            is_refused = (came & np.isnan(each[:, columns])).any(axis=(1, 2))
+            if is_refused.any():
+                raise ValueError(
+                    f"start={self.start} scores rows of X[{number}] that have no "
+                    f"forecast, the first is row {is_refused.argmax()}; set start to "
+                    f"{place[is_refused].max() + 1} or more, which scores all "
+                    "candidates on the same rows."
+                )
+            scored.append(np.where(came, each[:, columns], np.nan))
+        return scored
+
+
+def _find_outcomes(
+    pieces: list[slice], n_rows: int, horizons: Indices
+) -> tuple[Indices, Mask]:
+    """Find each row's place in its piece, and which horizons come before its end."""
+    place, left = np.full(n_rows, -1), np.full(n_rows, -1)
+    for rows in pieces:
+        place[rows] = np.arange(rows.stop - rows.start)
+        left[rows] = place[rows][::-1]
+    return place, left[:, np.newaxis] >= horizons
 
 
 def _following_rows(operator: Any, X: Any, y: Any, sample_index: Any) -> Indices:

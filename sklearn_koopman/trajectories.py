@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,13 @@ from ._utils._rows import distinct_rows
 from ._utils._typing import Array, Indices
 from ._utils._validation import check_choice, check_integer
 
-__all__ = ["TrajectoryKFold", "current_states", "successor_rows", "trajectory_pairs"]
+__all__ = [
+    "TrajectoryKFold",
+    "current_states",
+    "join_recordings",
+    "successor_rows",
+    "trajectory_pairs",
+]
 
 
 def trajectory_pairs(
@@ -188,7 +195,7 @@ of them, default=None
     check_integer(lag, "lag", 1)
     offsets = check_offsets(delays, delay_step)
     _check_embedding(embedding, outputs, outputs_in_state)
-    recordings, names, output_names, is_pandas = read_recordings(
+    recordings, names, output_names, is_pandas, _ = read_recordings(
         trajectories, outputs, gaps=gaps, rates=rates, resample=resample
     )
     least = offsets[-1] + lag + 1
@@ -332,7 +339,7 @@ def current_states(
     _check_embedding(embedding, outputs, outputs_in_state)
     # Outputs that are still to be measured must not cut the states.
     used = outputs if outputs_in_state else None
-    recordings, names, output_names, is_pandas = read_recordings(
+    recordings, names, output_names, is_pandas, _ = read_recordings(
         recording, used, gaps=gaps, rates=rates, resample=resample, name="recording"
     )
     if len(recordings) > 1:
@@ -404,6 +411,71 @@ def _feature_names(
             "with those of their past; rename the columns of trajectories."
         )
     return features
+
+
+def join_recordings(recordings: Sequence[ArrayLike]) -> Any:
+    """Join recordings to a single one, with a row of NaN between two of them.
+
+    A :class:`~sklearn_koopman.KoopmanForecaster` finds analogs in all that comes
+    before a row. So earlier trials of the same person serve a new one, which stands
+    last. No past, and nothing that followed, reaches across a row of NaN.
+
+    New in version 0.1.
+
+    Parameters
+    ----------
+    recordings : list of array-like of shape (n_samples, n_features)
+        The recordings in the order of time, of any lengths, with the same columns and
+        rate; arrays, DataFrames, or both.
+
+    Returns
+    -------
+    recording : ndarray or DataFrame of shape (n_rows, n_features)
+        All samples as floats. Masked values are NaN, and a hole in an index becomes a
+        row of NaN, too; without holes, `n_rows` is the sum of `n_samples` and of the
+        number of recordings less one. A DataFrame where one of the recordings is one,
+        with rows numbered from 0: labels of several recordings are no clock.
+
+    Raises
+    ------
+    ValueError
+        If `recordings` is no list of recordings with the same columns and rate, or if
+        one of them holds infinity.
+
+    Warns
+    -----
+    UserWarning
+        If columns hold angles that wrap.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_koopman.trajectories import join_recordings
+    >>> earlier, now = np.arange(3.0).reshape(-1, 1), np.array([[7.0], [8.0]])
+    >>> join_recordings([earlier, now]).ravel()
+    array([ 0.,  1.,  2., nan,  7.,  8.])
+    """
+    read, names, _, is_pandas, _ = read_recordings(
+        recordings, None, gaps="split", rates=None, resample=None, name="recordings"
+    )
+    gap = np.full((1, len(names)), np.nan)
+    parts = []
+    for recording in read:
+        # Only a hole in an index parts samples that stand side by side.
+        holes = [
+            earlier.stop
+            for earlier, later in pairwise(recording.pieces)
+            if earlier.stop == later.start
+        ]
+        parts += [np.insert(recording.samples.states, holes, np.nan, axis=0), gap]
+    joined = np.concatenate(parts[:-1])
+    if not is_pandas:
+        return joined
+    import pandas as pd
+
+    frames: Any = [recordings] if hasattr(recordings, "iloc") else recordings
+    columns = next(each.columns for each in frames if hasattr(each, "iloc"))
+    return pd.DataFrame(joined, columns=columns)
 
 
 def successor_rows(sample_index: Any) -> tuple[Indices, Indices]:

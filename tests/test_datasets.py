@@ -323,11 +323,107 @@ def test_walking_says_that_it_is_synthetic_and_is_reproducible():
     assert len(make_walking(random_state=3).outputs[0]) != len(walking.outputs[0])
 
 
+def test_walking_without_persons_is_what_it_was():
+    # Numbers of the version before persons were drawn.
+    walking = make_walking(3, n_strides=4, random_state=7)
+    assert [len(angles) for angles in walking.trajectories] == [971, 711, 594]
+    expected = [
+        [0.43760914645459464, 0.6919105687299989],
+        [0.3984411346619127, 0.32967159919025296],
+        [0.07455774650189922, 0.16398451447972037],
+    ]
+    found = [angles[200] for angles in walking.trajectories]
+    assert_allclose(found, expected, rtol=1e-12)
+    assert_allclose(walking.outputs[0][200], [69.81072641328097, -796.5932100236557])
+    expected = [869.8107264132809, 103.11279895451707, 80.073633302036]
+    assert_allclose(walking.markers[0]["ankle"][200], expected)
+    assert_array_equal(walking.persons, [0, 0, 0])
+    assert_array_equal(walking.segments, [[420, 430]])
+
+
+def test_markers_have_the_segments_of_their_persons():
+    walking = make_walking(2, n_persons=3, n_strides=3, random_state=0)
+    assert_array_equal(walking.persons, [0, 0, 1, 1, 2, 2])
+    assert_array_equal(walking.speeds, [0.6, 1.5] * 3)
+    assert len(np.unique(walking.segments)) == 6
+    for angles, output, markers, person in zip(
+        walking.trajectories,
+        walking.outputs,
+        walking.markers,
+        walking.persons,
+        strict=True,
+    ):
+        found, ankle = leg_angles(**markers, forward=0, up=1)
+        assert_allclose(found, angles, rtol=0, atol=1e-12)
+        assert_allclose(ankle, output, rtol=0, atol=1e-9)
+        hip, knee, ankle = (markers[name] for name in ("hip", "knee", "ankle"))
+        lengths = [
+            np.linalg.norm(lower - upper, axis=1)
+            for upper, lower in ((hip, knee), (knee, ankle))
+        ]
+        expected = walking.segments[person]
+        assert_allclose(np.transpose(lengths), np.tile(expected, (len(hip), 1)))
+        # The foot is as far above the ground as that of the mean person.
+        assert ankle[:, 1].min() > 0
+        assert_allclose(hip[:, 1].mean(), 30 + expected.sum(), rtol=0, atol=1)
+
+
+def test_persons_differ_by_what_is_stated():
+    n_persons = 2000
+    options = {"speeds": [1.3], "n_strides": 1, "variability": 0, "rate": 100}
+
+    def logarithms(walking):
+        durations = [[0.01 / phase[1]] for phase in walking.phases]
+        excursions = [np.ptp(angles, axis=0) for angles in walking.trajectories]
+        return np.log(np.hstack([walking.segments, durations, excursions]))
+
+    drawn = logarithms(make_walking(**options, n_persons=n_persons, random_state=0))
+    factors = (drawn - logarithms(make_walking(**options))) / ([0.05] * 3 + [0.1] * 2)
+    # Five standard errors, at most, of a mean, a deviation and a correlation.
+    error = 5 / np.sqrt(n_persons)
+    assert_allclose(factors.mean(axis=0), 0, atol=error)
+    assert_allclose(factors.std(axis=0), 1, atol=error)
+    expected = np.eye(5)
+    expected[0, 1] = expected[1, 0] = 0.8
+    assert_allclose(np.corrcoef(factors.T), expected, rtol=0, atol=error)
+
+
+def test_a_person_keeps_to_one_manner():
+    options = {"speeds": [1.3, 1.3], "n_strides": 2, "variability": 0}
+    walking = make_walking(**options, n_persons=2, random_state=1)
+    one, again, other, _ = walking.trajectories
+    assert_array_equal(one, again)
+    assert len(one) != len(other)
+
+
+def test_phases_count_strides():
+    walking = make_walking(2, n_strides=5, rate=200, random_state=0)
+    for phase, angles in zip(walking.phases, walking.trajectories, strict=True):
+        assert phase.shape == (len(angles),)
+        assert phase[0] == 0
+        assert (np.diff(phase) > 0).all()
+        assert 4.98 < phase[-1] <= 5
+    regular = make_walking(speeds=[1.3], rate=93.0, variability=0, n_strides=3)
+    assert_allclose(regular.phases[0], np.arange(301) / 100, rtol=0, atol=1e-12)
+
+
+def test_persons_are_reproducible_at_every_rate():
+    options = {"n_persons": 3, "n_strides": 2, "random_state": 5}
+    coarse, fine = (make_walking(2, rate=rate, **options) for rate in (100, 400))
+    assert_array_equal(coarse.segments, fine.segments)
+    for one, other in zip(coarse.outputs, fine.outputs, strict=True):
+        assert_allclose(one, other[::4], rtol=0, atol=1e-9)
+    single = make_walking(2, n_persons=1, n_strides=2, random_state=5)
+    assert (single.segments != [420, 430]).all()
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"n_trials": 0}, "n_trials must be .* got 0"),
         ({"n_strides": 0}, "n_strides must be .* got 0"),
+        ({"n_persons": 0}, "n_persons must be .* got 0"),
+        ({"n_persons": 2.5}, "n_persons must be .* got 2.5"),
         ({"rate": 0}, "rate must be .* got 0"),
         ({"rate": np.nan}, "rate must be .* got nan"),
         ({"variability": -1}, "variability must be .* got -1"),

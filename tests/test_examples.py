@@ -228,3 +228,20 @@ def test_forecast(tmp_path):
     assert 300 < persistence < 400
     assert 10 < repetition < 30
     assert relifted < repetition
+
+
+@pytest.mark.slow
+def test_recordings(tmp_path):
+    out = run("plot_recordings.py", tmp_path)
+    assert "16 recordings of 8 persons to learn from, 22 of 11 to calibrate" in out
+    errors = {
+        name: np.array([float(cell) for cell in cells.split()])
+        for name, cells in re.findall(
+            r"^(forecast|last|linear|analogs) +(.+)$", out, re.M
+        )
+    }
+    assert len(errors) == 4
+    for name in ("last", "linear", "analogs"):
+        assert (errors["forecast"] < errors[name]).all()
+    assert errors["analogs"][0] > 5 * errors["forecast"][0]  # 0.1 s ahead
+    assert 80 <= number(r"the bands hold (\d+)%", out) <= 100

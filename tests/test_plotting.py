@@ -4,6 +4,7 @@ import inspect
 import re
 import subprocess
 import sys
+from functools import cache
 from itertools import pairwise
 
 import matplotlib
@@ -27,6 +28,7 @@ from sklearn.utils import Bunch
 
 from sklearn_koopman import (
     KernelEDMD,
+    KoopmanForecaster,
     KoopmanKernelRegressor,
     SeparatedCenterSelector,
     plotting,
@@ -35,10 +37,12 @@ from sklearn_koopman import (
 from sklearn_koopman.datasets import make_pendulum, make_walking
 from sklearn_koopman.kernels import MaternSobolev, Wendland
 from sklearn_koopman.plotting import (
+    AnalogDisplay,
     CenterSelectionDisplay,
     ConditioningDisplay,
     ConvergenceDisplay,
     ForecastDisplay,
+    HorizonErrorDisplay,
     SpectrumDisplay,
     SurfaceDisplay,
 )
@@ -170,6 +174,15 @@ def axes_3d():
     return plt.subplots(subplot_kw={"projection": "3d"})[1]
 
 
+@cache
+def forecaster():
+    """A forecaster of four strides, and one recording of them."""
+    walking = make_walking(speeds=[1.0, 1.2], n_strides=4, rate=50.0, random_state=0)
+    settings = {"targets": [0], "horizons": [3, 6], "delays": 2, "baseline": "analogs"}
+    fitted = KoopmanForecaster(LinearRegression(), **settings)
+    return fitted.fit(walking.trajectories), walking.trajectories[0]
+
+
 # --- Every display ------------------------------------------------------------------
 
 
@@ -188,6 +201,10 @@ def draw(name, model, operator, pendulum, **kwargs):
         ),
         "CenterSelectionDisplay": lambda: CenterSelectionDisplay.from_estimator(
             model, X, **kwargs
+        ),
+        "AnalogDisplay": lambda: AnalogDisplay.from_estimator(*forecaster(), **kwargs),
+        "HorizonErrorDisplay": lambda: HorizonErrorDisplay.from_estimator(
+            forecaster()[0], **kwargs
         ),
         "ForecastDisplay": lambda: ForecastDisplay.from_estimator(
             model, X, y, lag=1, band="std", **kwargs
@@ -259,6 +276,11 @@ def test_all_parameters_are_documented(name):
         ("ForecastDisplay", "truth_", "truth_kw"),
         ("ForecastDisplay", "prediction_", "prediction_kw"),
         ("ForecastDisplay", "band_", "band_kw"),
+        ("AnalogDisplay", "line_", "line_kw"),
+        ("AnalogDisplay", "windows_", "window_kw"),
+        ("AnalogDisplay", "forecast_", "forecast_kw"),
+        ("AnalogDisplay", "truth_", "truth_kw"),
+        ("HorizonErrorDisplay", "lines_", "line_kw"),
         ("SpectrumDisplay", "scatter_", "scatter_kw"),
         ("SpectrumDisplay", "circle_", "circle_kw"),
     ],

@@ -4,33 +4,36 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from sklearn_koopman.datasets import make_walking
+from sklearn_koopman.datasets import load_markers, make_walking
+from sklearn_koopman.kinematics import leg_angles
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
+BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 
-def write_walks(folder):
-    """Write three synthetic trials as files of the tab-separated format."""
+def write_walks(folder, walks):
+    """Write synthetic trials as files of the tab-separated format."""
     folder.mkdir()
-    walks = make_walking(3, n_strides=4, rate=100.0, random_state=0)
     for number, markers in enumerate(walks.markers):
         stamps = np.arange(len(markers["hip"])) / walks.rate
         rows = np.column_stack([stamps, *markers.values()])
         labels = [f"{name.title()}{axis}" for name in markers for axis in "XYZ"]
         head = "\t".join(["Time", *labels])
-        path = folder / f"{number}.txt"
+        path = folder / f"{number:02d}.txt"
         np.savetxt(path, rows, "%.10g", "\t", header=head, comments="")
-    return walks
 
 
 def test_the_main_job_runs_as_printed(tmp_path, monkeypatch):
-    walks = write_walks(tmp_path / "walks")
+    walks = make_walking(3, n_strides=4, rate=100.0, random_state=0)
+    write_walks(tmp_path / "walks", walks)
     monkeypatch.chdir(tmp_path)
     names = {}
-    for code in re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL):
-        exec(code, names)
+    for code in BLOCKS:
+        if "KoopmanForecaster(" not in code:
+            exec(code, names)
     pairs = names["pairs"]
     assert names["ankle"].shape == names["std"].shape == (5, 2)
     # It has learned: a tenth of a second of walking moves the ankle by 100 mm.
@@ -70,6 +73,25 @@ def test_the_main_job_runs_as_printed(tmp_path, monkeypatch):
     assert round(names["standard_error"], 2) == 0.04
     assert round(names["study"].slope, 1) == 5.7
     assert names["study"].guaranteed_slope == 2.5
+
+
+@pytest.mark.slow
+def test_forecast_with_a_band_runs_as_printed(tmp_path, monkeypatch):
+    walks = make_walking(1, n_persons=21, n_strides=5, rate=50.0, random_state=0)
+    write_walks(tmp_path / "persons", walks)
+    monkeypatch.chdir(tmp_path)
+    (code,) = (block for block in BLOCKS if "KoopmanForecaster(" in block)
+    lines = [x for x in code.splitlines() if x and not x.startswith(("from", "import"))]
+    assert len(lines) <= 10
+    names = {"np": np, "Path": Path, "load_markers": load_markers}
+    names["leg_angles"] = leg_angles
+    exec(code, names)
+    came = walks.outputs[20][[154, 164]]
+    assert np.abs(names["ankle"][0] - came).max() < 30
+    lower, upper = names["band"][0, ..., 0], names["band"][0, ..., 1]
+    assert (lower < names["ankle"][0]).all()
+    assert (names["ankle"][0] < upper).all()
+    assert (upper - lower).max() < 60
 
 
 def test_files_that_it_points_to_exist():

@@ -324,6 +324,6 @@ def resolve_rates(rates: Any, clocks: list[Clock], resample: Any) -> list[float 
         raise ValueError(
             f"the trajectories have unequal rates, from {slowest:g} to {fastest:g} Hz, "
             "so that a lag means different times; pass resample=, for example "
-            f"resample={slowest:.4g}."
+            f"resample={slowest:.4g}, or interpolate them to one rate before."
         )
     return [rate or slowest for rate in known]

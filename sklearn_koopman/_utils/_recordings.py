@@ -98,12 +98,15 @@ class Recordings(NamedTuple):
         The names of the outputs.
     is_pandas : bool
         Whether the states of one of them, at least, were a DataFrame of pandas.
+    rate : float or None
+        Samples a second of all of them, where they or an index tell.
     """
 
     recordings: list[Recording]
     names: list[str]
     output_names: list[str]
     is_pandas: bool
+    rate: float | None
 
 
 def read_recordings(
@@ -175,7 +178,8 @@ def read_recordings(
         wraps |= _wraps_in(recordings, "outputs", "outputs", output_names)
     warn_of_wraps(wraps)
     is_pandas = any(hasattr(item, "iloc") for item in items)
-    return Recordings(recordings, names, output_names, is_pandas)
+    rate = rates[0] if resample is None else resample
+    return Recordings(recordings, names, output_names, is_pandas, rate)
 
 
 def _check_lengths(states: list[Array], outputs: list[Array]) -> list[int]:
@@ -307,6 +311,8 @@ def _refuse_axes(shape: tuple[int, ...], name: str) -> None:
 def _as_arrays(items: list[Any], name: str, gaps: str) -> list[Array]:
     """Validate recordings into float arrays with NaN in their gaps."""
     arrays: list[Array] = []
+    frames = [n for n, item in enumerate(items) if hasattr(item, "columns")]
+    named = frames[0] if frames else 0
     for number, item in enumerate(items):
         label = f"{name}[{number}]"
         _refuse_axes(getattr(item, "shape", ()), label)
@@ -333,7 +339,7 @@ def _as_arrays(items: list[Any], name: str, gaps: str) -> list[Array]:
                 f"{label} has shape {array.shape}, but {name}[0] has "
                 f"{arrays[0].shape}; pass arrays with the same columns."
             )
-        check_columns(item, label, items[0], f"{name}[0]")
+        check_columns(item, label, items[named], f"{name}[{named}]")
     return arrays
 
 

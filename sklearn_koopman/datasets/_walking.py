@@ -19,7 +19,7 @@ contact with the ground, no noise and no movement of skin, and the leg stays in 
 sagittal plane. Draw conclusions about walking from recorded motion only.
 """
 
-_THIGH, _SHANK = 420.0, 430.0  # mm
+_SEGMENTS = np.array([420.0, 430.0])  # thigh and shank, mm
 # Degrees at 1.3 m/s: the mean, then cosine and sine of each multiple of the phase.
 # Heel strike is at phase 0.
 _HIP = np.array([13.9, 20.1, -1.9, -3.3, -2.6, -0.4, 1.2])
@@ -27,11 +27,16 @@ _KNEE = np.array([22.5, -2.2, -18.4, -14.8, 7.0, 0.2, 5.1, -0.2, 0.7])
 # Relative standard deviations from stride to stride: duration, hip, knee.
 _VARIATION = np.array([0.02, 0.04, 0.03])
 _PERSISTENCE = 0.5  # correlation of one stride with the next
+# Relative standard deviations between persons: segments; duration of a stride, hip,
+# knee. Long thighs go with long shanks.
+_LENGTH, _MANNER = 0.05, np.array([0.05, 0.10, 0.10])
+_PROPORTION = 0.8  # correlation of thigh and shank
 
 
 def make_walking(
     n_trials: int | None = None,
     *,
+    n_persons: int | None = None,
     n_strides: int = 10,
     speeds: ArrayLike | None = None,
     rate: float = 150.0,
@@ -49,7 +54,12 @@ def make_walking(
     Parameters
     ----------
     n_trials : int, default=None
-        Number of trials; None means one for each of `speeds`, or 4.
+        Number of trials of each person; None means one for each of `speeds`, or 4.
+    n_persons : int, default=None
+        Number of persons, who differ in the lengths of thigh and shank, in cadence and
+        in the excursions of hip and knee. Each walks at all of `speeds`, so that
+        persons are exchangeable. None means one person who is not drawn: the mean of
+        all.
     n_strides : int, default=10
         Number of strides in a trial, from heel strike to heel strike.
     speeds : array-like of shape (n_trials,), default=None
@@ -61,12 +71,14 @@ def make_walking(
         At 1 the standard deviations are 2 % in duration, 4 % in the excursion of the
         hip and 3 % in that of the knee.
     random_state : int, RandomState instance or None, default=None
-        Seed of the variation. The same seed gives the same motion at every `rate`.
+        Seed of the persons and of the variation. The same seed gives the same motion at
+        every `rate`.
 
     Returns
     -------
     :class:`~sklearn.utils.Bunch`
-        With the attributes
+        With the attributes, trials of the first person first, and n_trials the number
+        of all,
 
         trajectories : list of n_trials ndarray of shape (n_frames, 2)
             Hip flexion and knee flexion [rad], in the signs of
@@ -76,8 +88,14 @@ def make_walking(
         markers : list of n_trials dict
             "hip", "knee" and "ankle": positions [mm] of shape (n_frames, 3) along
             X forward, Y up and Z right, of a right leg that walks through the room.
+        phases : list of n_trials ndarray of shape (n_frames,)
+            The gait phase, in strides from the first heel strike.
         speeds : ndarray of shape (n_trials,)
             The walking speeds [m/s].
+        persons : ndarray of shape (n_trials,)
+            Who walks, a number from 0.
+        segments : ndarray of shape (n_persons, 2)
+            Lengths of thigh and shank [mm].
         rate : float
             Samples per second.
         DESCR : str
@@ -112,8 +130,16 @@ def make_walking(
     outputs are the planar forward kinematics of a thigh of 420 mm and a shank of
     430 mm.
 
+    Persons multiply these lengths, the duration of a stride, :math:`A_1` and
+    :math:`A_2` by factors of their own, which hold for all their trials. Their
+    logarithms are normal, with standard deviations of 5 % for both lengths, of which
+    the correlation is 0.8, 5 % for the duration, and 10 % for either excursion. The
+    hip is higher by as much as the leg is longer.
+
     The exponents, the cadence and the variation are of the size found in the
-    treadmill trials of subject 1 of [1]_; no curve is fitted to them.
+    treadmill trials of subject 1 of [1]_; no curve is fitted to them. The differences
+    between persons are round numbers, of the order of those between healthy adults;
+    they are not estimates.
 
     References
     ----------
@@ -131,10 +157,20 @@ def make_walking(
     >>> pairs = trajectory_pairs(walking.trajectories, walking.outputs, delays=2)
     >>> pairs.X.shape, pairs.y.shape
     ((1922, 4), (1922, 2))
+
+    Three persons, who walk at two speeds each:
+
+    >>> walking = make_walking(speeds=[0.8, 1.2], n_persons=3, random_state=0)
+    >>> walking.persons
+    array([0, 0, 1, 1, 2, 2])
+    >>> walking.segments.shape
+    (3, 2)
     """
     check_integer(n_strides, "n_strides", 1)
     if n_trials is not None:
         check_integer(n_trials, "n_trials", 1)
+    if n_persons is not None:
+        check_integer(n_persons, "n_persons", 1)
     check_number(rate, "rate", positive=True)
     check_number(variability, "variability")
     if speeds is None:
@@ -146,26 +182,45 @@ def make_walking(
             "there is one trial for each speed."
         )
     rng = check_random_state(random_state)
+    if n_persons is None:
+        segments, manners = _SEGMENTS[np.newaxis], np.ones((1, len(_VARIATION)))
+    else:
+        segments, manners = _draw_persons(n_persons, rng)
+    persons = np.repeat(np.arange(len(segments)), len(pace))
+    all_speeds = np.tile(pace, len(segments))
     trials = []
-    for speed in pace:
+    for person, speed in zip(persons, all_speeds, strict=True):
         # One value a stride boundary; the duration after the last one is not used.
         scatter = _ar1(n_strides + 1, len(_VARIATION), rng)
-        scales = np.exp(variability * _VARIATION * scatter)
-        trials.append(_trial(speed, rate, scales))
+        scales = manners[person] * np.exp(variability * _VARIATION * scatter)
+        trials.append(_trial(speed, rate, scales, segments[person]))
+    trajectories, outputs, markers, phases = map(list, zip(*trials, strict=True))
     return Bunch(
-        trajectories=[angles for angles, _, _ in trials],
-        outputs=[ankle for _, ankle, _ in trials],
-        markers=[markers for _, _, markers in trials],
-        speeds=pace,
+        trajectories=trajectories,
+        outputs=outputs,
+        markers=markers,
+        phases=phases,
+        speeds=all_speeds,
+        persons=persons,
+        segments=segments,
         rate=float(rate),
         DESCR=_DESCR,
     )
 
 
+def _draw_persons(n_persons: int, rng: np.random.RandomState) -> tuple[Array, Array]:
+    """Draw lengths of segments, and factors of what varies from stride to stride."""
+    size, shape = rng.standard_normal((2, n_persons))
+    shank = _PROPORTION * size + np.sqrt(1 - _PROPORTION**2) * shape
+    segments = _SEGMENTS * np.exp(_LENGTH * np.column_stack([size, shank]))
+    scatter = rng.standard_normal((n_persons, len(_MANNER)))
+    return segments, np.exp(_MANNER * scatter)
+
+
 def _trial(
-    speed: float, rate: float, scales: Array
-) -> tuple[Array, Array, dict[str, Array]]:
-    """Return angles, the ankle relative to the hip, and the markers in the room."""
+    speed: float, rate: float, scales: Array, segments: Array
+) -> tuple[Array, Array, dict[str, Array], Array]:
+    """Return angles, ankle relative to the hip, markers in the room, and phase."""
     duration = scales[:-1, 0] / (0.93 * np.sqrt(speed / 1.3))
     strikes = np.concatenate([[0.0], np.cumsum(duration)])
     time = np.arange(np.floor(strikes[-1] * rate) + 1) / rate
@@ -177,14 +232,17 @@ def _trial(
     hip_flexion = np.radians(_HIP[0] + swing * (_fourier(_HIP, phase) - _HIP[0]))
     knee_flexion = np.radians(bend * _fourier(_KNEE, phase))
 
-    knee = _THIGH * _below(hip_flexion)
-    ankle = knee + _SHANK * _below(hip_flexion - knee_flexion)
+    thigh, shank = segments
+    knee = thigh * _below(hip_flexion)
+    ankle = knee + shank * _below(hip_flexion - knee_flexion)
     # The trunk is highest in mid-stance of either leg and sways once a stride.
     sway = 20 * np.cos(np.outer(phase - 0.3, [4 * np.pi, 2 * np.pi]))
-    hip = np.column_stack([1000 * speed * time, sway + np.array([880, 100])])
+    hip = np.column_stack(
+        [1000 * speed * time, sway + np.array([30 + thigh + shank, 100])]
+    )
     offsets = {"hip": np.zeros_like(knee), "knee": knee, "ankle": ankle}
     markers = {k: hip + np.pad(x, [(0, 0), (0, 1)]) for k, x in offsets.items()}
-    return np.column_stack([hip_flexion, knee_flexion]), ankle, markers
+    return np.column_stack([hip_flexion, knee_flexion]), ankle, markers, phase
 
 
 def _ar1(n_strides: int, n_series: int, rng: np.random.RandomState) -> Array:

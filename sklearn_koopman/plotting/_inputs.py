@@ -7,10 +7,11 @@ from inspect import signature
 from typing import Any
 
 import numpy as np
+from sklearn.utils.validation import check_is_fitted
 
 from .._utils._frames import index_level
 from .._utils._pipeline import unwrap
-from .._utils._typing import Array
+from .._utils._typing import Array, Indices
 from .._utils._validation import check_integer, check_number
 from .._utils._warnings import ExtrapolationWarning
 from ..trajectories import match_successors, successor_rows
@@ -224,6 +225,105 @@ def resolve_names(
             f"got {names!r}."
         )
     return names
+
+
+def is_forecaster(estimator: Any) -> bool:
+    """Return whether an estimator forecasts whole recordings.
+
+    Parameters
+    ----------
+    estimator : estimator instance
+        Any estimator.
+
+    Returns
+    -------
+    answer : bool
+        Whether it does.
+    """
+    return hasattr(estimator, "explain")
+
+
+def find_forecaster(estimator: Any) -> tuple[Any, Any]:
+    """Split a fitted forecaster as `unwrap` does; refuse others.
+
+    Parameters
+    ----------
+    estimator : estimator instance
+        A fitted KoopmanForecaster, a pipeline that ends in one, or a search of either.
+
+    Returns
+    -------
+    forecaster : KoopmanForecaster
+        The last step of a pipeline, or the estimator itself.
+    front : Pipeline or None
+        The steps before it, if any.
+
+    Raises
+    ------
+    ValueError
+        If it is no fitted forecaster.
+    """
+    check_is_fitted(estimator)
+    forecaster, front = unwrap(estimator)
+    if not is_forecaster(forecaster):
+        raise ValueError(
+            f"estimator must be a KoopmanForecaster, got {type(forecaster).__name__}."
+        )
+    return forecaster, front
+
+
+def sorted_horizons(forecaster: Any) -> tuple[Indices, Indices]:
+    """Return the horizons of a forecaster in rising order.
+
+    Parameters
+    ----------
+    forecaster : KoopmanForecaster
+        The forecaster.
+
+    Returns
+    -------
+    order : ndarray of shape (n_horizons,)
+        The number of each among the horizons as they were given.
+    horizons : ndarray of shape (n_horizons,)
+        The horizons.
+    """
+    horizons = np.asarray(forecaster.horizons)
+    order = np.argsort(horizons)
+    return order, horizons[order]
+
+
+def find_output(forecaster: Any, output: int | str) -> tuple[int, str]:
+    """Return the number and the name of an output of a forecaster.
+
+    Parameters
+    ----------
+    forecaster : KoopmanForecaster
+        The fitted forecaster.
+    output : int or str
+        The number or the name.
+
+    Returns
+    -------
+    number : int
+        Its number among the outputs.
+    name : str
+        Its name.
+
+    Raises
+    ------
+    ValueError
+        If there is no such output.
+    """
+    names = [str(name) for name in forecaster.output_names_]
+    if isinstance(output, str) and output in names:
+        output = names.index(output)
+    is_number = isinstance(output, int | np.integer) and not isinstance(output, bool)
+    if not is_number or int(output) not in range(len(names)):
+        raise ValueError(
+            f"output={output!r} is not among the outputs {names}; give one of them, or "
+            f"a number from 0 to {len(names) - 1}."
+        )
+    return int(output), names[int(output)]
 
 
 def kernel_name(kernel: str) -> str:

@@ -1,0 +1,1 @@
+"""What the forecaster of whole recordings is made of."""
