@@ -42,6 +42,9 @@ from .trajectories import TrajectoryKFold
 __all__ = ["Analogs", "KoopmanForecaster"]
 
 MAX_FOLDS = 5
+# Standard deviations from the mean of training to the mean of a recording that has
+# other units, or another origin.
+FAR = 10.0
 # Of the estimator that None stands for.
 N_CENTERS = 300
 ALPHAS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
@@ -92,7 +95,7 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         - a callable of (recording, horizons) that returns an array of shape (n_rows,
           n_horizons, n_outputs), NaN where it has none, each row from rows up to it.
         - "auto": the best of the first four at each horizon. One that speaks of less
-          than half of the rows is not chosen. With `y`, or with an operator, None.
+          than a tenth of the rows is not chosen. With `y`, or with an operator, None.
     n_jobs : int, default=None
         Number of jobs that fit the baselines of "auto". None means 1 unless in a
         :obj:`joblib.parallel_config` context.
@@ -121,6 +124,8 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         The horizons.
     offsets_ : ndarray of int of shape (n_offsets,)
         The ages of the samples of a state.
+    column_mean_ : ndarray of shape (n_features_in_,)
+        The mean of each column in training.
     column_scale_ : ndarray of shape (n_features_in_,)
         The standard deviation of each column in training.
     calibration_ : :class:`~sklearn.utils.Bunch`
@@ -292,6 +297,9 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         self.stand_in_scale_ = positive(learned.stand_ins.scale)
         self.horizons_ = horizons
         self.offsets_ = offsets
+        self.column_mean_ = np.nanmean(
+            np.vstack([track.states for track in read.tracks]), axis=0
+        )
         self.column_scale_ = scale
         self.n_outputs_ = table.truth.shape[2]
         self.output_names_ = np.array(read.output_names, dtype=object)
@@ -323,6 +331,12 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         ------
         ValueError
             If the recordings are not like those of `fit`.
+
+        Warns
+        -----
+        ExtrapolationWarning
+            If a column is on average 10 standard deviations or more from its mean in
+            `fit`, as in other units; or if the estimator warns so.
         """
         return [forecasts for forecasts, _ in self._predict(X)]
 
@@ -419,7 +433,7 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
             Root mean square errors in the units of the outputs, of the "forecast" and
             of the baselines that `fit` has tried, over the rows that all speak of and
             whose outputs have come at all horizons. A baseline that speaks of less than
-            half of the rows is left out.
+            a tenth of the rows is left out.
 
         Raises
         ------
@@ -528,7 +542,11 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         ValueError
             If no rows can be scored at some horizon.
         """
-        forecasts, truth = self.predict(X), self._following(X, y)
+        with warnings.catch_warnings():
+            # Recordings left out may well be far from the others.
+            warnings.simplefilter("ignore", ExtrapolationWarning)
+            forecasts = self.predict(X)
+        truth = self._following(X, y)
         weights = check_sample_weight(sample_weight, len(forecasts))
         if weights is None:
             weights = np.ones(len(forecasts))
@@ -748,8 +766,9 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         self, X: Any, *, last_only: bool = False
     ) -> Iterator[tuple[Array, Array]]:
         """Yield the forecasts of each recording, and the scale of their errors."""
-        mixture = self._mixture()
-        for recording, track in self._read(X):
+        mixture, read = self._mixture(), self._read(X)
+        self._warn_of_far([track for _, track in read])
+        for recording, track in read:
             rows = np.arange(len(track.states))[-1 if last_only else 0 :]
             yield mixture.forecast(recording, track, rows)
 
@@ -833,6 +852,26 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
                 "fewer. Fill short gaps by kinematics.fill_gaps, or end recordings "
                 "before a gap."
             )
+
+    def _warn_of_far(self, tracks: Sequence[Track]) -> None:
+        """Warn of columns that are nowhere near those of the fit."""
+        for number, track in enumerate(tracks):
+            states = track.states[track.piece >= 0]
+            if not len(states):
+                continue
+            distance = np.abs(states.mean(axis=0) - self.column_mean_)
+            column = int((distance / self.column_scale_).argmax())
+            if distance[column] > FAR * self.column_scale_[column]:
+                names = getattr(self, "feature_names_in_", range(len(distance)))
+                warn(
+                    f"column {names[column]!r} of X[{number}] is at "
+                    f"{states[:, column].mean():.4g} on average, those of fit were at "
+                    f"{self.column_mean_[column]:.4g}, with a standard deviation of "
+                    f"{self.column_scale_[column]:.4g}. Give X the units of the "
+                    "recordings of fit.",
+                    ExtrapolationWarning,
+                )
+                return
 
     def _design(self, offsets: Indices, horizons: Indices, scale: Array) -> Design:
         """Return how rows are made."""

@@ -425,5 +425,5 @@ def test_bands_of_left_out_units_cover_what_is_promised(n_folds):
 
 def test_guarantees_are_stated_for_every_method():
     assert set(GUARANTEES) == {"draws", "mixture", "plus", "minmax", "pooled"}
-    assert GUARANTEES["plus"].startswith("at least 1 - 2 alpha")
-    assert GUARANTEES["minmax"].startswith("at least 1 - alpha")
+    assert GUARANTEES["plus"].startswith("at least twice the coverage less 1")
+    assert GUARANTEES["minmax"].startswith("at least the coverage")

@@ -12,7 +12,7 @@ from .._utils._typing import Array, Mask
 from ._baselines import DIRECT, LAST
 
 # A baseline that says nothing of more rows than this is chosen for no horizon.
-MAX_SILENT = 0.5
+MAX_SILENT = 0.9
 
 
 class LeftOut(NamedTuple):

@@ -22,14 +22,14 @@ from .._utils._typing import Array, Indices
 from .._utils._validation import check_number
 
 # The expected share of the rows of a new unit that a band covers, where the unit is
-# exchangeable with those that calibrate, for a coverage of 1 - alpha. In folds, no unit
-# is compared with those of its own fold, which may cost as much as they weigh.
+# exchangeable with those that calibrate. In folds, no unit is compared with those of
+# its own fold, which may cost as much as they weigh.
 _FOLDS = ", less (1 - F / K) / (F + 1) if the K units are left out in F equal folds"
 GUARANTEES = {
-    "draws": "at least 1 - alpha, if larger errors are rarer",
-    "mixture": "at least 1 - alpha",
-    "plus": "at least 1 - 2 alpha" + _FOLDS,
-    "minmax": "at least 1 - alpha" + _FOLDS,
+    "draws": "at least the coverage that is asked for, if larger errors are rarer",
+    "mixture": "at least the coverage that is asked for",
+    "plus": "at least twice the coverage less 1, as 0.8 for 0.9" + _FOLDS,
+    "minmax": "at least the coverage that is asked for" + _FOLDS,
     "pooled": "none",
 }
 # Rounding of sums of masses: levels that differ by less are equal.

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.utils.parallel import Parallel, delayed
 
+from .._utils._parallel import one_thread
 from .._utils._typing import Array, Indices
 from ._baselines import ANALOGS, LAST, Baselines
 from ._blending import MAX_SILENT, Blend, LeftOut, StandIns, blend, find_stand_ins
@@ -198,10 +199,14 @@ def train(
     groups = table.groups if len(table.tracks) > 1 else None
     splits = list(folds.split(table.truth, groups=groups))
     least_share = 0.0 if len(names) == 1 else 1 - MAX_SILENT
-    fits = Parallel(n_jobs)(
-        delayed(fit_candidate)(name, design, table, make_estimator, splits, least_share)
-        for name in names
-    )
+    # Matrices of some hundred columns are slower with several threads of BLAS.
+    with one_thread():
+        fits = Parallel(n_jobs)(
+            delayed(fit_candidate)(
+                name, design, table, make_estimator, splits, least_share
+            )
+            for name in names
+        )
     candidates = {
         name: fit for name, fit in zip(names, fits, strict=True) if fit is not None
     }

@@ -11,7 +11,7 @@ from .._utils._typing import Array
 from .._utils._validation import check_choice, check_names
 from .._utils._warnings import warn
 from .._utils._wraps import find_degrees
-from ._clock import read_clock
+from ._formats._clock import read_clock
 from ._formats._storage import read_storage
 from ._formats._text import File
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from sklearn.utils import Bunch
 
 from ._formats import read_recording
+from ._formats._positions import Choices, check_choices, select_positions
 from ._formats._text import File
-from ._positions import Choices, check_choices, select_positions
 
 
 def load_markers(

@@ -10,9 +10,9 @@ from sklearn.utils import Bunch
 
 from .._utils._typing import Array
 from .._utils._validation import check_number
+from ._formats._positions import Choices, check_choices, select_positions
 from ._formats._recording import PIXELS, Marker, Recording
 from ._formats._text import Table
-from ._positions import Choices, check_choices, select_positions
 
 AXES = "xyz"
 ORDER = ("time", "individual", "keypoint", "space")

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from .._utils._typing import Array
-from .._utils._warnings import warn
-from ._formats._recording import Recording
-from ._formats._text import Table
+from ..._utils._typing import Array
+from ..._utils._warnings import warn
+from ._recording import Recording
+from ._text import Table
 
 # Stamps in seconds may be rounded to milliseconds, and rates to 1 %.
 TIME_ROUNDING = 0.001

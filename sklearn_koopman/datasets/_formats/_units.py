@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from .._utils._typing import Array
-from ._formats._recording import PIXELS
+from ..._utils._typing import Array
+from ._recording import PIXELS
 
 IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 # As files spell them out; the British end in -metre.

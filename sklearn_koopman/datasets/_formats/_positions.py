@@ -9,10 +9,10 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 from sklearn.utils import Bunch
 
-from .._utils._typing import Array, Mask
-from .._utils._validation import check_choice, check_names, check_number
+from ..._utils._typing import Array, Mask
+from ..._utils._validation import check_choice, check_names, check_number
 from ._clock import read_clock
-from ._formats._recording import PIXELS, PREFIX_END, Marker, Recording
+from ._recording import PIXELS, PREFIX_END, Marker, Recording
 from ._units import IN_MM, check_size, spell
 
 FRAMES_TO_MEASURE = 200
