@@ -500,7 +500,7 @@ class RecordingErrorScorer:
         weights = check_sample_weight(sample_weight, len(errors))
         if weights is None:
             weights = np.ones(len(errors))
-        columns, horizons = self._find_horizons(forecaster.horizons)
+        columns, horizons = self._find_horizons(forecaster.horizons_)
         squares = np.concatenate(self._score_rows(X, y, errors, columns, horizons)) ** 2
         of_rows = np.repeat(weights, [len(each) for each in errors])[:, None, None]
         mass = np.sum(of_rows * np.isfinite(squares), axis=0)

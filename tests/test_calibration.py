@@ -10,7 +10,6 @@ from sklearn_koopman._forecasting._calibration import (
     check_coverage,
     count_units,
     largest_scores,
-    measure_scale,
     mixture_quantile,
     pooled_quantile,
     symmetric_band,
@@ -152,12 +151,6 @@ def test_infinite_scores_stay_above_all_others():
 def test_largest_scores_are_of_rows_that_have_all():
     scores = np.array([[[1.0, 2.0], [3.0, 0.5]], [[9.0, 1.0], [np.nan, 1.0]]])
     assert_array_equal(largest_scores(scores), [[[3.0]], [[np.nan]]])
-
-
-def test_scale_is_the_root_mean_square_of_what_is_there():
-    errors = np.array([[[3.0, 0.0, np.nan]], [[-4.0, 0.0, np.nan]]])
-    errors = np.concatenate([errors, [[[np.nan, 0.0, np.nan]]]])
-    assert_allclose(measure_scale(errors), [[np.sqrt(12.5), 1.0, 1.0]], rtol=1e-15)
 
 
 def test_symmetric_band():

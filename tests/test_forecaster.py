@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.linear_model import Ridge
+from sklearn.model_selection import GridSearchCV
 
-from sklearn_koopman import Analogs, ExtrapolationWarning, KoopmanForecaster
+from sklearn_koopman import Analogs, ExtrapolationWarning, KernelEDMD, KoopmanForecaster
 from sklearn_koopman.datasets import make_walking
 
 HORIZONS = np.array([15, 30, 45, 75, 112, 150])
@@ -119,11 +120,14 @@ def test_last_values_stand_in_for_analogs(persons, fitted):
     assert (ratio > 5).all()
 
 
-def test_the_estimator_stands_in_where_it_is_better(persons):
+def test_the_best_of_the_others_stands_in(persons):
     model = make_forecaster(baseline="auto").fit(persons[:8])
     assert_array_equal(model.baselines_, ["analogs"] * 2)
-    assert_array_equal(model.stand_ins_, ["direct"] * 2)
-    alone = make_forecaster(baseline=None).fit(persons[:8])
+    (name,) = {*model.stand_ins_.tolist()}
+    assert name != "last"
+    baseline = None if name == "direct" else name
+    alone = make_forecaster(baseline=baseline).fit(persons[:8])
+    assert_allclose(model.stand_in_weights_, alone.horizon_weights_, rtol=1e-9)
     walk = persons[9]
     early = np.arange(4, 40)
     assert_allclose(
@@ -138,12 +142,61 @@ def test_recordings_in_other_units_warn(persons, fitted):
         fitted.forecast([persons[9], walk])
 
 
-def test_settings_are_those_of_the_fit(persons, fitted):
-    changed = (
-        make_forecaster().fit(persons[:8]).set_params(horizons=[1, 2, 3], delays=7)
+def test_settings_are_those_of_the_fit(persons):
+    analogs, walk = Analogs(window=12), persons[9]
+    model = make_forecaster(baseline=analogs).fit(persons[:8])
+    (before,) = model.predict([walk])
+    analogs.window = 5
+    model.set_params(
+        horizons=[1, 2, 3],
+        delays=7,
+        embedding="differences",
+        targets=[0],
+        baseline="last",
     )
-    walk = persons[9]
-    assert_array_equal(changed.predict([walk])[0], fitted.predict([walk])[0])
+    assert_array_equal(model.predict([walk])[0], before)
+
+
+def with_column(walks, constant):
+    return [np.column_stack([walk, np.full(len(walk), constant)]) for walk in walks]
+
+
+@pytest.mark.parametrize("constant", [0.1, 70.3])
+def test_the_value_of_a_constant_column_changes_nothing(persons, constant):
+    """The mean of equal numbers is not always that number."""
+    walks, ones = (with_column(persons[:10], value) for value in (constant, 1.0))
+    model, plain = (make_forecaster().fit(each[:8]) for each in (walks, ones))
+    assert model.column_scale_[4] == 1.0
+    parts, others = model.explain(walks[9]), plain.explain(ones[9])
+    assert_array_equal(parts.analogs, others.analogs)
+    assert_allclose(parts.weights, others.weights, rtol=1e-6)
+    assert_allclose(parts.forecast, others.forecast, rtol=1e-6)
+
+
+@pytest.mark.parametrize("constant", [0.1, 70.3])
+def test_the_default_estimator_takes_a_constant_column(constant):
+    rng = np.random.default_rng(0)
+    waves = []
+    for phase in rng.uniform(0, 6, 3):
+        wave = np.sin(0.2 * np.arange(60) + phase)
+        waves.append(np.column_stack([wave, np.full(60, constant)]))
+    model = KoopmanForecaster(targets=[0], horizons=[3], delays=(0, 2), baseline=None)
+    assert model.fit(waves).score(waves) > 0.99
+
+
+def test_what_cannot_be_used_is_refused(persons, fitted):
+    with pytest.raises(ValueError, match=r"X\[2\] have no row with a forecast and"):
+        fitted.conformalize([*persons[10:12], persons[12][:8]])
+    search = GridSearchCV(KernelEDMD(), {"beta": [1.0, 2.0]})
+    with pytest.raises(ValueError, match=r"GridSearchCV of an operator; pass the op"):
+        make_forecaster(baseline=None).set_params(estimator=search).fit(persons[:4])
+    pd = pytest.importorskip("pandas", reason="outputs with an index")
+    frames = [pd.DataFrame(walk) for walk in persons[:3]]
+    outputs = [frame[[2]] for frame in frames]
+    outputs[1] = outputs[1].iloc[::-1]
+    model = make_forecaster(targets=None, baseline=None)
+    with pytest.raises(ValueError, match=r"y\[1\] and X\[1\] have different indices"):
+        model.fit(frames, outputs)
 
 
 # --- bands --------------------------------------------------------------------------

@@ -15,6 +15,8 @@ from .._utils._validation import check_integer, check_number
 
 # A quarter of the expected distance of two windows that have nothing in common.
 SIMILAR = 0.5
+# At an end of a piece the minimum may lie beyond: such windows are to be nearer.
+END = 0.1
 SHORTEST_WINDOW = 10  # windows of 5 to 20 samples served walking at 150 Hz alike
 
 # Distances of a block of present rows: 1 MB, which stays in the cache.
@@ -74,10 +76,10 @@ class Analogs(BaseEstimator):
     A window that differs by more than 0.5 is no analog; two that have nothing in common
     differ by 2 on average. Windows, and analogs with what followed them, lie on one
     side of every gap. Analogs come from all pieces between gaps. At the ends of a piece
-    one neighbour suffices for a local minimum. Of equal distances the later row is
-    taken first. Windows count as equal if the root of their distance is at most 8 times
-    the machine epsilon times the largest value, over :math:`\\sigma_c`, in the present
-    one.
+    one neighbour suffices for a local minimum, if the distance is at most 0.05. Of
+    equal distances the later row is taken first. Windows count as equal if the root of
+    their distance is at most 8 times the machine epsilon times the largest value, over
+    :math:`\\sigma_c`, in the present one.
 
     Time is O(T L p) for T rows and L rows of past, that is O(T^2 p) without `max_past`.
     Memory is O(T) for each horizon, and some MB.
@@ -241,7 +243,8 @@ def find_analogs(
         row, places, distances = _find_minima(
             states, present, has_window, window, reach, ages.min()
         )
-        similar = distances <= max_distance
+        at_end = (behind[places] == window - 1) | (ahead[places] == 0)
+        similar = distances <= np.where(at_end, END * max_distance, max_distance)
         row, places, distances = row[similar], places[similar], distances[similar]
         places, distances = _tabulate(row, places, distances, len(present))
         back = present[:, np.newaxis] - places

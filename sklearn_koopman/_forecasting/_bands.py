@@ -42,16 +42,30 @@ def usable_scores(made: Bunch, coverage: float, simultaneous: bool) -> Array:
     return scores
 
 
+def refuse_empty(scores: Sequence[Array]) -> None:
+    """Refuse recordings that have no errors to calibrate with."""
+    empty = [f"X[{i}]" for i, part in enumerate(scores) if not np.isfinite(part).any()]
+    if empty:
+        raise ValueError(
+            f"{', '.join(empty[:5])}{', ...' * (len(empty) > 5)} have no row with a "
+            "forecast and outputs that came, and calibrate nothing; leave them out."
+        )
+
+
 def bands_about(
     pairs: Iterable[Scaled], made: Bunch, scores: Array, coverage: float
 ) -> Iterator[tuple[Array, Array]]:
     """Yield the forecasts of each recording, and the intervals about them."""
-    if made.method == "draws":
-        quantile = expected_quantile(scores, made.units, coverage)
-    elif made.method == "mixture":
-        quantile = mixture_quantile(scores, made.units, coverage)
-    else:
-        quantile = pooled_quantile(scores, coverage)
+    key = f"{coverage} {scores.shape[1:]}"  # simultaneous bands have one score a row
+    if key not in made.quantiles:
+        if made.method == "draws":
+            quantile = expected_quantile(scores, made.units, coverage)
+        elif made.method == "mixture":
+            quantile = mixture_quantile(scores, made.units, coverage)
+        else:
+            quantile = pooled_quantile(scores, coverage)
+        made.quantiles[key] = quantile
+    quantile = made.quantiles[key]
     for forecasts, scale in pairs:
         yield forecasts, symmetric_band(forecasts, quantile * scale)
 

@@ -9,10 +9,12 @@ import numpy as np
 from sklearn.metrics import r2_score
 
 from .._utils._typing import Array, Mask
-from ._baselines import DIRECT, LAST
+from ._baselines import ANALOGS, DIRECT, LAST
 
 # A baseline that says nothing of more rows than this is chosen for no horizon.
 MAX_SILENT = 0.9
+# A column whose spread is smaller than this part of its values is constant.
+ROUNDING = 1e-12
 
 
 class LeftOut(NamedTuple):
@@ -84,11 +86,8 @@ def blend(left_out: Mapping[str, LeftOut], truth: Array, unit: Array) -> Blend:
     errors, corrected, weights = {}, [], []
     for name, known in is_known.items():
         baseline, correction = left_out[name]
-        weight = np.ones(truth.shape[1])
+        weight = _weigh(name, (truth - baseline)[known], correction[known], unit)
         if name != DIRECT:
-            weight = _weights(
-                correction[known] / unit, (truth - baseline)[known] / unit
-            )
             errors[name] = rms(baseline[rows] - truth[rows])
         forecasts = baseline[rows] + weight[:, np.newaxis] * correction[rows]
         errors[f"{name}, corrected" if name != DIRECT else name] = rms(
@@ -112,24 +111,28 @@ class StandIns(NamedTuple):
     Attributes
     ----------
     names : ndarray of str of shape (n_horizons,)
-        "last" or "direct".
+        The baseline.
+    weights : ndarray of shape (n_horizons,)
+        What the correction is multiplied by.
     scale : ndarray of shape (n_horizons, n_outputs)
         The root mean square of their errors.
     """
 
     names: Array
+    weights: Array
     scale: Array
 
 
 def find_stand_ins(
     left_out: Mapping[str, LeftOut], truth: Array, current: Array, unit: Array
 ) -> StandIns:
-    """Choose what is better where there is no analog: no change, or no baseline.
+    """Choose what is best where there is no analog.
 
     Parameters
     ----------
     left_out : dict of str to LeftOut
-        The forecasts of all rows. Without "direct" nothing is to be chosen.
+        The forecasts of all rows. Without other baselines than analogs, the outputs
+        remain as they are.
     truth : ndarray of shape (n_rows, n_horizons, n_outputs)
         What came.
     current : ndarray of shape (n_rows, 1, n_outputs)
@@ -137,16 +140,25 @@ def find_stand_ins(
     unit : ndarray of shape (n_outputs,)
         The unit of each output.
     """
-    last = rms(truth - current)
-    names = np.full(truth.shape[1], LAST, dtype=object)
-    if DIRECT not in left_out:
-        return StandIns(names.astype(str), last)
-    errors = truth - left_out[DIRECT].correction
-    direct = rms(errors[np.isfinite(errors).all(axis=(1, 2))])
-    is_better = ((direct / unit) ** 2).sum(axis=1) < ((last / unit) ** 2).sum(axis=1)
-    names[is_better] = DIRECT
-    scale = np.where(is_better[:, np.newaxis], direct, last)
-    return StandIns(names.astype(str), scale)
+    n_horizons = truth.shape[1]
+    names, weights = [LAST], [np.zeros(n_horizons)]
+    errors = [rms(truth - current)]
+    for name, (baseline, correction) in left_out.items():
+        known = _is_known(baseline + correction)
+        if name == ANALOGS or not known.any():
+            continue
+        weight = _weigh(name, (truth - baseline)[known], correction[known], unit)
+        names.append(name)
+        weights.append(weight)
+        forecasts = baseline + weight[:, np.newaxis] * correction
+        errors.append(rms((truth - forecasts)[known]))
+    best = np.argmin([((error / unit) ** 2).sum(axis=1) for error in errors], axis=0)
+    horizons = np.arange(n_horizons)
+    return StandIns(
+        np.array(names)[best],
+        np.array(weights)[best, horizons],
+        np.array(errors)[best, horizons],
+    )
 
 
 def compare(said: Mapping[str, Array], truth: Array) -> dict[str, Array]:
@@ -186,8 +198,14 @@ def _find_common(is_known: dict[str, Mask]) -> tuple[dict[str, Mask], Mask]:
     return is_known, np.logical_and.reduce(list(is_known.values()))
 
 
-def _weights(offered: Array, wanted: Array) -> Array:
-    """Return what to multiply an offer by at each horizon, in [0, 1]."""
+def _weigh(name: str, wanted: Array, offered: Array, unit: Array) -> Array:
+    """Return what to multiply an offered correction by at each horizon, in [0, 1].
+
+    Without a baseline the correction is all of the forecast.
+    """
+    if name == DIRECT:
+        return np.ones(wanted.shape[1])
+    wanted, offered = wanted / unit, offered / unit
     power, product = (offered**2).sum(axis=(0, 2)), (offered * wanted).sum(axis=(0, 2))
     return np.clip(product / np.where(power > 0, power, 1.0), 0.0, 1.0)
 
@@ -198,8 +216,18 @@ def rms(errors: Array) -> Array:
 
 
 def spread(arrays: Sequence[Array]) -> Array:
-    """Return the standard deviation of each column, 1 where it is 0."""
-    return positive(np.nanstd(np.vstack(arrays), axis=0))
+    """Return the standard deviation of each column, 1 where it is constant.
+
+    Rows that hold NaN do not count.
+    """
+    rows = np.vstack(arrays)
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    if not len(rows):
+        return np.ones(rows.shape[1])
+    deviation = rows.std(axis=0)
+    # The mean of equal numbers may differ from them by rounding.
+    is_constant = deviation <= ROUNDING * np.abs(rows).max(axis=0)
+    return np.where(is_constant, 1.0, deviation)
 
 
 def positive(values: Array) -> Array:

@@ -26,7 +26,7 @@ from .._utils._validation import check_number
 # its own fold, which may cost as much as they weigh.
 _FOLDS = ", less (1 - F / K) / (F + 1) if the K units are left out in F equal folds"
 GUARANTEES = {
-    "draws": "at least the coverage that is asked for, if larger errors are rarer",
+    "draws": "about the coverage that is asked for, seldom less",
     "mixture": "at least the coverage that is asked for",
     "plus": "at least twice the coverage less 1, as 0.8 for 0.9" + _FOLDS,
     "minmax": "at least the coverage that is asked for" + _FOLDS,
@@ -36,24 +36,6 @@ GUARANTEES = {
 TOLERANCE = 1e-9
 # Sums of a prediction and the size of an error are equal within this part of both.
 ROUNDING = 8 * float(np.finfo(np.float64).eps)
-
-
-def measure_scale(errors: Array) -> Array:
-    """Return the root mean square of errors, for each horizon and output.
-
-    Parameters
-    ----------
-    errors : ndarray of shape (n_rows, n_horizons, n_outputs)
-        Errors, NaN where there is none.
-
-    Returns
-    -------
-    scale : ndarray of shape (n_horizons, n_outputs)
-        The root mean square; 1 where there is no error, or none but zeros.
-    """
-    count = np.count_nonzero(~np.isnan(errors), axis=0)
-    scale: Array = np.sqrt(np.nansum(errors**2, axis=0) / np.maximum(count, 1))
-    return np.where(scale > 0, scale, 1.0)
 
 
 def largest_scores(scores: Array) -> Array:
@@ -172,9 +154,10 @@ def expected_quantile(scores: Array, units: Indices, coverage: float) -> Array:
     Of K scores, one of each unit, the ceil(coverage (K + 1))-th smallest covers a score
     of a new unit with a probability of at least `coverage`, as all of them are
     exchangeable. This is its mean over all draws, which are not carried out. The mean
-    covers as much if larger errors are rarer (if the distribution function of scores is
-    concave from the quantile on), and is narrower than `mixture_quantile`, which
-    covers up to 1 / (K + 1) more than is asked for.
+    covers at least as much if the distribution function of scores is concave over the
+    range of the quantiles of draws: there, larger errors are rarer. Errors with a
+    second hump beyond the others break that. It is narrower than `mixture_quantile`,
+    which covers up to 1 / (K + 1) more than is asked for, whatever the errors.
 
     Parameters
     ----------

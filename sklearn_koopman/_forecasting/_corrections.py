@@ -73,7 +73,13 @@ def last_step(estimator: Any) -> tuple[str, Any]:
 
 def is_operator(estimator: Any) -> bool:
     """Whether an estimator forecasts by the powers of an operator."""
-    return hasattr(last_step(estimator)[1], "forecast")
+    final = last_step(estimator)[1]
+    if hasattr(last_step(getattr(final, "estimator", None))[1], "forecast"):
+        raise ValueError(
+            f"estimator is a {type(final).__name__} of an operator; pass the operator "
+            "itself, and search over its parameters with the forecaster inside."
+        )
+    return hasattr(final, "forecast")
 
 
 def is_search(estimator: Any) -> bool:
@@ -116,10 +122,7 @@ def learn(
         train, test = train[is_usable[train]], test[is_usable[test]]
         if len(train) and len(test):
             model = fit_rows(fixed, rows.take(train))
-            with warnings.catch_warnings():
-                # Another speed or person may well be far from those of the fold.
-                warnings.simplefilter("ignore", ExtrapolationWarning)
-                left_out[test] = predict_rows(model, rows.features[test], ahead)
+            left_out[test] = predict_rows(model, rows.features[test], ahead)
     return fitted, left_out
 
 
@@ -157,10 +160,14 @@ def fix_choices(fitted: Any) -> Any:
 def predict_rows(fitted: Any, features: Array, ahead: Ahead) -> Array:
     """Return predictions of shape (n_rows, n_horizons, n_outputs)."""
     shape = (len(features), len(ahead.steps), ahead.n_outputs)
-    if not is_operator(fitted):
-        return np.asarray(fitted.predict(features), dtype=np.float64).reshape(shape)
-    operator, front = find_operator(fitted)
-    steps = operator.forecast(transformed(front, features), int(ahead.steps.max()))
+    with warnings.catch_warnings():
+        # Estimators know scaled rows only; forecasters compare recordings with those
+        # of the fit.
+        warnings.simplefilter("ignore", ExtrapolationWarning)
+        if not is_operator(fitted):
+            return np.asarray(fitted.predict(features), np.float64).reshape(shape)
+        operator, front = find_operator(fitted)
+        steps = operator.forecast(transformed(front, features), int(ahead.steps.max()))
     return np.asarray(steps.reshape(len(features), -1, ahead.n_outputs))[
         :, ahead.steps - 1
     ]

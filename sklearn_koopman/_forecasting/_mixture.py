@@ -34,7 +34,9 @@ class Mixture:
     error_scale : ndarray of shape (n_horizons, n_outputs)
         The scale of the errors.
     stand_ins : ndarray of str of shape (n_horizons,)
-        What stands in where there is no analog.
+        The baseline that stands in where there is no analog.
+    stand_in_weights : ndarray of shape (n_horizons,)
+        The weight of its correction.
     stand_in_scale : ndarray of shape (n_horizons, n_outputs)
         The scale of its errors.
     """
@@ -46,6 +48,7 @@ class Mixture:
     weights: Array
     error_scale: Array
     stand_ins: Array
+    stand_in_weights: Array
     stand_in_scale: Array
 
     def forecast(
@@ -64,7 +67,9 @@ class Mixture:
         said = forecasts[is_known]
         for name in np.unique(self.baselines):
             at = self.baselines == name
-            said[:, at] = self._corrected(name, recording, track, past, known)[:, at]
+            said[:, at] = self._corrected(
+                name, self.weights, recording, track, past, known
+            )[:, at]
         # Where there is no analog yet, something else stands in.
         of_analogs = np.array([name == ANALOGS for name in self.baselines])
         is_lost = np.isnan(said) & of_analogs[:, np.newaxis]
@@ -73,10 +78,12 @@ class Mixture:
             instead = np.repeat(
                 track.outputs[known[lost], np.newaxis], len(self.baselines), axis=1
             )
-            at = self.stand_ins == DIRECT
-            if at.any():
-                alone = self._corrected(DIRECT, recording, track, past, known[lost])
-                instead[:, at] = alone[:, at]
+            for name in np.unique(self.stand_ins):
+                if name in self.estimators:
+                    at = self.stand_ins == name
+                    instead[:, at] = self._corrected(
+                        name, self.stand_in_weights, recording, track, past, known[lost]
+                    )[:, at]
             said[lost] = np.where(is_lost[lost], instead, said[lost])
             scale[is_known] = np.where(is_lost, self.stand_in_scale, scale[is_known])
         forecasts[is_known] = said
@@ -100,9 +107,15 @@ class Mixture:
         return forecasts
 
     def _corrected(
-        self, name: str, recording: Any, track: Track, past: Array, rows: Indices
+        self,
+        name: str,
+        weights: Array,
+        recording: Any,
+        track: Track,
+        past: Array,
+        rows: Indices,
     ) -> Array:
-        """Return what a baseline says, with as much correction as helps."""
+        """Return what a baseline says, with so much of the correction."""
         fitted, horizons = self.estimators[name], self.design.baselines.horizons
         said = self.design.baselines.say(name, recording, track, past, rows)
         features = np.hstack([past[rows], said.features])
@@ -113,7 +126,7 @@ class Mixture:
             ahead = Ahead(horizons // step, self.error_scale.shape[1])
             correction = predict_rows(fitted, features[usable], ahead)
             correction = self.correction_scales[name] * correction
-            if name != DIRECT:
-                correction = self.weights[:, np.newaxis] * correction
-            forecasts[usable] = said.forecasts[usable] + correction
+            forecasts[usable] = (
+                said.forecasts[usable] + weights[:, np.newaxis] * correction
+            )
         return forecasts

@@ -80,6 +80,8 @@ class Tracks(NamedTuple):
         The names of the outputs.
     rate : float or None
         Samples a second, where an index of time stamps tells.
+    columns : ndarray of int
+        The columns that are the outputs; none if these are given by themselves.
     """
 
     tracks: list[Track]
@@ -87,6 +89,7 @@ class Tracks(NamedTuple):
     has_names: bool
     output_names: list[str]
     rate: float | None
+    columns: Indices
 
 
 class Seen(NamedTuple):
@@ -134,6 +137,7 @@ def read_tracks(X: Any, y: Any, targets: Any, seen: Seen | None = None) -> Track
         _check_seen(read.names, has_names, read.rate, seen)
         names = seen.names
     states = [_without_gaps(recording) for recording in read.recordings]
+    columns: list[int] = []
     if y is not None:
         if targets is not None:
             raise ValueError(
@@ -160,7 +164,14 @@ def read_tracks(X: Any, y: Any, targets: Any, seen: Seen | None = None) -> Track
             states, outputs, read.recordings, strict=True
         )
     ]
-    return Tracks(tracks, names, has_names, output_names, read.rate)
+    return Tracks(
+        tracks,
+        names,
+        has_names,
+        output_names,
+        read.rate,
+        np.array(columns, dtype=np.intp),
+    )
 
 
 def check_horizons(horizons: Any) -> Indices:
@@ -322,6 +333,12 @@ def _read_outputs(items: list[Any], y: Any) -> tuple[list[Array], list[str]]:
                 f"{outputs[0].shape[1]}; pass the same outputs for all recordings."
             )
         check_columns(values, f"y[{number}]", given[0], "y[0]")
+        is_frame = [hasattr(each, "iloc") for each in (values, states)]
+        if all(is_frame) and not values.index.equals(states.index):
+            raise ValueError(
+                f"y[{number}] and X[{number}] have different indices; bring them to "
+                "one by reindex."
+            )
         outputs.append(output)
     names = getattr(given[0], "columns", None)
     names = [f"y{i}" for i in range(outputs[0].shape[1])] if names is None else names

@@ -220,7 +220,8 @@ def train(
     stand_ins = find_stand_ins(left_out, table.truth, table.current, unit)
     used = {*mixed.names.tolist()}
     if ANALOGS in used:
-        used |= {*stand_ins.names.tolist()} - {LAST}
+        is_learned = (stand_ins.names != LAST) | (stand_ins.weights > 0)
+        used |= {*stand_ins.names[is_learned].tolist()}
     return Learned(
         {name: candidates[name].fitted for name in sorted(used)},
         {name: candidates[name].scale for name in sorted(used)},

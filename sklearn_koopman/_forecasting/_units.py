@@ -20,6 +20,8 @@ def as_units(groups: Any, n_recordings: int) -> Indices:
             f"groups holds {len(labels)} labels for {n_recordings} recordings; pass "
             "one for each, such as the person."
         )
+    if any(label is None or label != label for label in labels.tolist()):
+        raise ValueError("groups holds None or NaN; name the unit of each recording.")
     return np.unique(labels, return_inverse=True)[1]
 
 

@@ -174,7 +174,7 @@ class AnalogDisplay(Display):  # numpydoc ignore=PR02
             recording = front.transform([recording])[0]
         parts = forecaster.explain(recording, start=start)
         found = parts.weights[number] > 0
-        horizon = int(forecaster.horizons[number])
+        horizon = int(forecaster.horizons_[number])
         if not found.any():
             raise ValueError(
                 f"row {parts.start} has no analogs {horizon} rows ahead: nothing like "
@@ -276,7 +276,7 @@ class AnalogDisplay(Display):  # numpydoc ignore=PR02
 
 def _find_horizon(forecaster: Any, horizon: int | None) -> int:
     """Return the number of a horizon whose baseline are analogs."""
-    horizons = np.asarray(forecaster.horizons)
+    horizons = np.asarray(forecaster.horizons_)
     usable = horizons[forecaster.baselines_ == "analogs"]
     if not len(usable):
         raise ValueError(

@@ -287,7 +287,7 @@ def sorted_horizons(forecaster: Any) -> tuple[Indices, Indices]:
     horizons : ndarray of shape (n_horizons,)
         The horizons.
     """
-    horizons = np.asarray(forecaster.horizons)
+    horizons = np.asarray(forecaster.horizons_)
     order = np.argsort(horizons)
     return order, horizons[order]
 
