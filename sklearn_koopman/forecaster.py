@@ -147,7 +147,8 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         Only after :meth:`conformalize` or :meth:`fit_conformalize`: `method`,
         `guarantee` (what is promised of the rows of a new unit), `n_units`, and the
         errors in units of their scale, `scores`, with the number of the unit of each
-        row, `units`, and of the model that left out each unit, `models`.
+        row, `units`, and of the model that left out each unit, `models`; and the
+        `quantiles` that were computed so far.
     fold_estimators_ : list of KoopmanForecaster
         Only after :meth:`fit_conformalize`: the models that have left out units.
     takes_outputs_ : bool
