@@ -71,13 +71,14 @@ def test_errors_of_recorded_walking(walking):
 def test_what_has_no_period_is_left_to_the_baseline():
     """On random walks nothing is better than the last value."""
     rng = np.random.default_rng(0)
-    walks = [np.cumsum(rng.normal(size=(500, 2)), axis=0) for _ in range(8)]
+    walks = [np.cumsum(rng.normal(size=(500, 2)), axis=0) for _ in range(26)]
     model = KoopmanForecaster(horizons=[1, 5, 20]).fit(walks[:6])
     assert_array_equal(model.baselines_, ["last"] * 3)
     errors = model.compare(walks[6:])
     assert (errors["forecast"] < 1.03 * errors["last"]).all()
-    # The error of a random walk grows as the root of the horizon.
-    assert_allclose(errors["last"].mean(axis=1), np.sqrt([1, 5, 20]), rtol=0.15)
+    # The error of a random walk grows as the root of the horizon. Some 900 independent
+    # stretches of 20 steps tell it to 2 %.
+    assert_allclose(errors["last"].mean(axis=1), np.sqrt([1, 5, 20]), rtol=0.1)
 
 
 def test_a_correction_is_as_large_as_helps():
