@@ -103,7 +103,7 @@ def make_pieces(seed, n_rows=260):
         {"n_analogs": 1, "max_past": 13},
     ],
 )
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_equals_loops_over_the_definition(seed, parameters):
     x, piece = make_pieces(seed)
     scale = np.array([0.7, 2.0])

@@ -538,6 +538,7 @@ def test_weights_reach_the_scorer_by_routing(recordings):
     assert_allclose(search.cv_results_["mean_test_score"], np.mean(expected))
 
 
+@pytest.mark.slow
 def test_several_jobs(recordings):
     one, two = (
         make_forecaster(baseline="auto", n_jobs=n).fit(recordings) for n in (None, 2)

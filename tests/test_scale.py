@@ -182,6 +182,7 @@ def test_walking_with_delays_gets_hundreds_of_centres(walking):
         assert 300 < len(SeparatedCenterSelector().fit(X).center_indices_) < 420
 
 
+@pytest.mark.slow
 def test_walking_is_predicted_with_defaults_in_any_unit(walking):
     """Root mean square of the ankle's error 100 ms ahead, at speeds left out, in mm."""
     pairs = trajectory_pairs(*walking, lag=15, delays=3, delay_step=5)

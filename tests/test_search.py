@@ -74,7 +74,7 @@ def test_both_spellings_predict_the_same(pendulums, kernel, method, order):
     assert_allclose(one.predict(new), two.predict(new), rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("routing", [False, True])
+@pytest.mark.parametrize("routing", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_grid_search_leaves_out_trajectories(pendulums, routing):
     grid = {
         "centers__separation": [0.1, 0.4],

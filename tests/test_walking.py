@@ -48,6 +48,7 @@ def past(ankles, lag):
     return now, np.vstack([y[reach - 1 : -lag - 1] for y in ankles])
 
 
+@pytest.mark.slow
 def test_delays_and_least_squares_beat_persistence(walking):
     angles, ankles = walking
     pairs = trajectory_pairs(angles, ankles, **DELAYED)
