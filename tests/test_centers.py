@@ -362,6 +362,7 @@ def test_small_batches_with_many_centres(size):
     assert_array_equal(held, parts.cluster_centers_)
 
 
+@pytest.mark.slow
 def test_ties_between_batches():
     # Whether 0.1 * 3 - 0.1 * 2 is above 0.1 is for rounding to say, the same in all.
     X = 0.1 * np.random.default_rng(0).integers(-4, 5, (300, 2))

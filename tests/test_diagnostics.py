@@ -370,6 +370,7 @@ def test_the_pendulum_moves_on_a_curve(n_samples, step):
     assert estimate[1] < 0.25
 
 
+@pytest.mark.slow
 def test_error_bars_cover_on_a_torus_in_ten_dimensions():
     rng = np.random.default_rng(0)
     estimates = np.array(
@@ -543,6 +544,7 @@ def test_lanczos_agrees_with_the_dense_eigenvalues(kernel, beta, alpha):
     assert extreme_eigenvalues(kernel, X, beta, alpha, max_dense=20) == found
 
 
+@pytest.mark.slow
 def test_large_matrices_have_the_condition_number_of_their_eigenvalues():
     """Above the number of centres up to which all eigenvalues are computed."""
     X = np.random.default_rng(1).uniform(-1, 1, (1600, 2))

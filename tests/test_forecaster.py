@@ -289,6 +289,7 @@ def test_groups_are_the_units(persons, fitted):
         fitted.conformalize(persons[10:30], groups=[1, 2, 3])
 
 
+@pytest.mark.slow
 def test_methods_without_new_persons(persons):
     walks, walk = persons[:10], persons[20:21]
     model = make_forecaster().fit_conformalize(walks, method="plus")

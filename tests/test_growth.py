@@ -1221,6 +1221,7 @@ def test_polynomials_that_the_rows_do_not_tell_are_left_at_zero():
     assert (abs(model.trend_coef_) < 30).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trend", [None, "linear"])
 def test_regression_of_arrays_on_disk(tmp_path, trend):
     n, d = 40_000, 32

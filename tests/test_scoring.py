@@ -392,6 +392,7 @@ def states():
     return pairs, model.fit(pairs.X, X_next=pairs.X_next)
 
 
+@pytest.mark.slow
 def test_many_starts_are_scored_in_parts():
     """4 million forecast outputs at a time: here from about 1,000 of the starts."""
     x = make_pendulum(3500).trajectories[0]
