@@ -25,7 +25,7 @@ from ._forecasting._bands import (
 from ._forecasting._baselines import ANALOGS, BASELINES, Baselines, find_candidates
 from ._forecasting._blending import compare, mean_r2, positive, spread
 from ._forecasting._calibration import GUARANTEES
-from ._forecasting._corrections import is_operator
+from ._forecasting._corrections import is_operator, refuse_searches_of_operators
 from ._forecasting._mixture import Mixture
 from ._forecasting._tracks import (
     Seen,
@@ -286,7 +286,8 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         check_choice(self.embedding, "embedding", EMBEDDINGS)
         offsets = check_offsets(self.delays, None)
         horizons = check_horizons(self.horizons)
-        has_powers = self.estimator is not None and is_operator(self.estimator)
+        refuse_searches_of_operators(self.estimator)
+        has_powers = is_operator(self.estimator)
         names = find_candidates(self.baseline, y is not None, has_powers)
         read = read_tracks(X, y, self.targets)
         scale = spread([track.states for track in read.tracks])
@@ -464,11 +465,12 @@ class KoopmanForecaster(RegressorMixin, BaseEstimator):
         mixture = self._mixture()
         truth = np.concatenate(self._following(X, y))
         said = {"forecast": np.concatenate(self.predict(X))}
+        read = self._read(X)
         for name in BASELINES:
             if name in self.left_out_errors_:
                 parts = [
                     mixture.say(name, recording, track, np.arange(len(track.states)))
-                    for recording, track in self._read(X)
+                    for recording, track in read
                 ]
                 said[name] = np.concatenate(parts)
         return compare(said, truth)

@@ -719,7 +719,7 @@ def test_storage(kind, recordings, tmp_path):
     own = [name for name in names if name.startswith("sklearn_koopman.")]
     assert "sklearn_koopman.forecaster.KoopmanForecaster" in own
     assert not [name for name in own if "._" in name]
-    skops = pytest.importorskip("skops.io")
+    skops = pytest.importorskip("skops.io", reason="stores without pickles")
     data = skops.dumps(forecaster)
     untrusted = skops.get_untrusted_types(data=data)
     assert {name for name in untrusted if "._" in name} <= {

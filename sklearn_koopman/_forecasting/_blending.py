@@ -87,14 +87,14 @@ def blend(left_out: Mapping[str, LeftOut], truth: Array, unit: Array) -> Blend:
     for name, known in is_known.items():
         baseline, correction = left_out[name]
         weight = _weigh(name, (truth - baseline)[known], correction[known], unit)
-        if name != DIRECT:
-            errors[name] = rms(baseline[rows] - truth[rows])
         forecasts = baseline[rows] + weight[:, np.newaxis] * correction[rows]
-        errors[f"{name}, corrected" if name != DIRECT else name] = rms(
-            forecasts - truth[rows]
-        )
         corrected.append(rms(forecasts - truth[rows]))
         weights.append(weight)
+        if name == DIRECT:
+            errors[name] = corrected[-1]
+        else:
+            errors[name] = rms(baseline[rows] - truth[rows])
+            errors[f"{name}, corrected"] = corrected[-1]
     best = np.argmin([((error / unit) ** 2).sum(axis=1) for error in corrected], axis=0)
     horizons = np.arange(truth.shape[1])
     return Blend(

@@ -73,13 +73,17 @@ def last_step(estimator: Any) -> tuple[str, Any]:
 
 def is_operator(estimator: Any) -> bool:
     """Whether an estimator forecasts by the powers of an operator."""
+    return hasattr(last_step(estimator)[1], "forecast")
+
+
+def refuse_searches_of_operators(estimator: Any) -> None:
+    """Refuse what could not give an operator the places of the rows."""
     final = last_step(estimator)[1]
-    if hasattr(last_step(getattr(final, "estimator", None))[1], "forecast"):
+    if is_operator(getattr(final, "estimator", None)):
         raise ValueError(
             f"estimator is a {type(final).__name__} of an operator; pass the operator "
             "itself, and search over its parameters with the forecaster inside."
         )
-    return hasattr(final, "forecast")
 
 
 def is_search(estimator: Any) -> bool:

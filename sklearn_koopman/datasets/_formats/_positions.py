@@ -66,7 +66,7 @@ def select_positions(recording: Recording, choices: Choices, where: str) -> Bunc
     if np.isnan(rate) or unit is None:
         _refuse_unsaid(rate, unit)
     if choices.gaps == "raise":
-        _refuse_gaps(recording, chosen, choices)
+        _refuse_gaps(recording, chosen, positions, choices)
     if choices.unit is None:
         check_size(unit, _body(recording, choices))
     likelihood = {
@@ -186,24 +186,26 @@ def _is_unlikely(recording: Recording, marker: Marker, choices: Choices) -> Mask
 
 def _body(recording: Recording, choices: Choices) -> Array:
     """Return all markers of the file in some of its frames, spread over it evenly."""
+    step = max(len(recording.table) // FRAMES_TO_MEASURE, 1)
     body = []
     for marker in recording.markers:
         with suppress(ValueError):  # what is not read may be damaged
-            body.append(_positions(recording, marker, choices))
-    step = max(len(recording.table) // FRAMES_TO_MEASURE, 1)
-    return np.stack(body)[:, ::step]
+            body.append(_positions(recording, marker, choices)[::step])
+    return np.stack(body)
 
 
 def _refuse_gaps(
-    recording: Recording, chosen: dict[str, Marker], choices: Choices
+    recording: Recording,
+    chosen: dict[str, Marker],
+    positions: dict[str, Array],
+    choices: Choices,
 ) -> None:
     """Refuse gaps, all of them at once."""
     table = recording.table
     gaps, n_unlikely = [], 0
     sentinels: Counter[str] = Counter()
     for name, marker in chosen.items():
-        is_lost = np.isnan(_positions(recording, marker, choices)).any(axis=1)
-        lost = np.flatnonzero(is_lost)
+        lost = np.flatnonzero(np.isnan(positions[name]).any(axis=1))
         if len(lost):
             gaps.append(
                 f"{name!r} in {len(lost)} frames, first in {table.place(lost[0])}"

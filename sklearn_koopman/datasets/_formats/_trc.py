@@ -1,7 +1,5 @@
 """OpenSim's TRC, also as other programs write it."""
 
-import re
-
 from ._recording import Format, Marker, Recording, warn_of_count
 from ._text import (
     SHOWN,
@@ -18,7 +16,6 @@ from ._text import (
 
 N_HEADER_LINES = 4  # and one of axes, mostly
 NUMBERS = ("DataRate", "NumFrames", "NumMarkers")
-AXIS = re.compile(r"[XYZ]\d*", re.IGNORECASE)
 
 
 def _is_trc(file: File) -> bool:
